@@ -114,7 +114,7 @@ def _identified(folder: Path, diagnosis: Mapping | None) -> Plant:
     """The plant of a rig with the values of its data sheet, or as a diagnosis corrects it."""
     rig = rigs.load(folder)
     if diagnosis is None:
-        return _named(replace(rig.plant, outputs=_outputs(rig)))
+        return _named(replace(rig.plant, outputs=tuple(rig.predict)))
     recording = rig.recording(rig.folder / rig.identify[0])
     keys = asked(check(diagnosis))
     named = {key: effect for key, effect in effect_table.named(rig, recording, keys).items() if key in keys}
@@ -126,11 +126,7 @@ def _identified(folder: Path, diagnosis: Mapping | None) -> Plant:
             "which cannot hold that: correct the signals themselves"
         )
     kept = {s: replace(p, value=float(found[s])) for s, p in model.plant.parameters.items() if s not in without}
-    return _named(replace(model.plant, parameters=kept, outputs=_outputs(rig)))
-
-
-def _outputs(rig: rigs.Rig) -> tuple[str, ...]:
-    return tuple(rig.predict)
+    return _named(replace(model.plant, parameters=kept, outputs=tuple(rig.predict)))
 
 
 def _named(given: Plant) -> Plant:

@@ -72,18 +72,7 @@ def read_table(path: Path | str, nan: bool = False) -> CsvTable:
     of the CSV that a diverging simulation writes. Raises InputError for anything else, naming the row as an editor
     numbers it.
     """
-    path = Path(path)
-    text = _text(path)
-    lines, rows, separator = _rows(path, text)
-    header = _header(path, [name.strip() for name in rows.pop(0)])
-    lines = lines[1:]
-    for line, row in zip(lines, rows, strict=True):
-        if len(row) != len(header):
-            raise InputError(
-                f"{path}: row {line} has {len(row)} cells, the header {len(header)}; correct the row"
-                + (", or separate columns by semicolons if commas are decimal" if separator == "," else "")
-            )
-    return CsvTable(path, header, *_numbers(path, header, rows, lines, _is_plain(text, separator), nan), lines)
+    return _read(Path(path), False, nan)[0]
 
 
 def read_header(path: Path | str) -> tuple[list[str], bool]:
@@ -110,16 +99,25 @@ def read_header(path: Path | str) -> tuple[list[str], bool]:
 
 def read_united(path: Path | str) -> tuple[CsvTable, list[str]]:
     """(the table, the units in the row below its names), as `read_table`."""
-    path = Path(path)
+    return _read(Path(path), True, False)
+
+
+def _read(path: Path, united: bool, nan: bool) -> tuple[CsvTable, list[str]]:
     text = _text(path)
-    lines, rows, _ = _rows(path, text)
+    lines, rows, separator = _rows(path, text)
     header = _header(path, [name.strip() for name in rows.pop(0)])
-    units = [_BRACKETED.sub(r"\1", cell.strip()) for cell in rows.pop(0)]
-    lines = lines[2:]
+    units = [_BRACKETED.sub(r"\1", cell.strip()) for cell in rows.pop(0)] if united else []
+    lines = lines[1 + united :]
     for line, row in zip(lines, rows, strict=True):
         if len(row) != len(header):
-            raise InputError(f"{path}: row {line} has {len(row)} cells, the header {len(header)}; correct the row")
-    return CsvTable(path, header, *_numbers(path, header, rows, lines, False, False), lines), units
+            split = (
+                ", or separate columns by semicolons if commas are decimal" if separator == "," and not united else ""
+            )
+            raise InputError(
+                f"{path}: row {line} has {len(row)} cells, the header {len(header)}; correct the row{split}"
+            )
+    plain = not united and _is_plain(text, separator)
+    return CsvTable(path, header, *_numbers(path, header, rows, lines, plain, nan), lines), units
 
 
 def _text(path: Path) -> str:

@@ -18,6 +18,15 @@ STATES = ("i", "u", "u_dot", "x", "v", "z", "p_a", "p_b")
 DOCS = Path(__file__).parents[1] / "docs" / "plants.md"
 
 
+def modal(line, gains, s):
+    """The sum over the modes of a fitted function at complex `s`."""
+    omega = line.frequencies(len(gains))
+    return (
+        (gains[:, 0] * s[:, None] * omega + gains[:, 1] * omega**2)
+        / (s[:, None] ** 2 + line.damping * s[:, None] + omega**2)
+    ).sum(1)
+
+
 def rig_equations(state, v_c, f_ext):
     """The valve rig of RIGS.md with the values of thesis table 5.1, written out by hand; supply constant."""
     i, u, u_dot, x, v, z, p_a, p_b = state
@@ -132,7 +141,7 @@ def test_the_fitted_line_is_within_half_a_percent_of_the_four_pole_line_up_to_1_
     line, s = Line(), 2j * np.pi * np.linspace(1, 1000, 1500)
     fitted = line.fit()
     for name, exact in line.four_pole(s).items():
-        assert np.abs(line.modal(fitted[name], s) - exact).max() < 5e-3 * np.abs(exact).max()
+        assert np.abs(modal(line, fitted[name], s) - exact).max() < 5e-3 * np.abs(exact).max()
 
 
 def test_the_fitted_line_is_exact_at_rest_stable_and_strictly_proper():
@@ -141,8 +150,8 @@ def test_the_fitted_line_is_exact_at_rest_stable_and_strictly_proper():
     for name, gains in line.fit().items():
         dc = {"transmission": 1.0, "impedance": line.resistance, "admittance": 0.0}[name]
         scale = np.abs(gains).sum()
-        assert abs(line.modal(gains, np.array([1e-9j]))[0] - dc) < 1e-12 * scale
-        assert abs(line.modal(gains, np.array([1e12j]))[0]) < 1e-6 * scale
+        assert abs(modal(line, gains, np.array([1e-9j]))[0] - dc) < 1e-12 * scale
+        assert abs(modal(line, gains, np.array([1e12j]))[0]) < 1e-6 * scale
     for omega in line.frequencies(3):
         assert (np.roots([1, line.damping, omega**2]).real < 0).all()
 

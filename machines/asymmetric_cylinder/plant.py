@@ -17,25 +17,18 @@ from greygate.plants.plant import Plant, read_entries
 from greygate.plants.preparation import filtered
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import simulate
+from greygate.reading import read_toml
 
-OWN = read_entries(Path(__file__).parent / "simulated" / "bench.toml")
+SIMULATED = Path(__file__).parent / "simulated"
+OWN = read_entries(SIMULATED / "bench.toml")
 BENCH = OWN["parameters"]
 """Thesis table 5.5, and chapter 6 for what it leaves out of the same bench."""
 
 SUPPLY = {"f_relief": 1500.0, "p_gas0": 1.2e7}
 """Relief valve at 150 bar, accumulator charged to 120 bar."""
 
-DIFFERENCES = {
-    "bulk_modulus": 1.05e9,
-    "p_air": 3e5,
-    "v_a0": 161e-6,
-    "v_b0": 79.5e-6,
-    "k_valve": 2.36e-8,
-    "overlap": 0.04,
-    "c_internal": 1.5e-13,
-}
-"""The rig against its data sheets: softer oil with air in it, other volumes, a valve with more gain and a little lap,
-a piston seal that leaks. The supply gives way under load, and hysteresis of friction acts, in both."""
+DIFFERENCES = read_toml(SIMULATED / "differences.toml", "install greygate again")
+"""Parameters of the rig in the laboratory."""
 
 SAMPLE_TIME = 1e-3
 CONVERTER = 2**-15  # of full scale: 16 bit, signed

@@ -26,12 +26,15 @@ def _record(recording: Recording, inputs: Sequence[str], output: str) -> Record:
     return Record({n: recording[n] for n in inputs}, {output: recording[output]})
 
 
+def _fit(network: Network, records: Sequence[Record], **options) -> Trained:
+    return train(network, list(records), **options)
+
+
 def _linear(name: str, inputs: Mapping[Port, Sequence[int]], output: Port, feedback: Sequence[int], **options):
     """Linear output-error model, trained from the weights of the ARX model. options: of `train`."""
 
     def fit(network: Network, records: Sequence[Record]) -> Trained:
-        taught = train(network, list(records), teacher=True, **options).network
-        return train(taught, list(records), **options)
+        return _fit(_fit(network, records, teacher=True, **options).network, records, **options)
 
     return Structure(lambda seed: noe(name, inputs, output, feedback), fit)
 
@@ -44,10 +47,7 @@ def _hammerstein(
     def build(seed: int) -> Network:
         return noe(name, inputs, output, feedback, (hidden,), seed, linear_loop=True)
 
-    def fit(network: Network, records: Sequence[Record]) -> Trained:
-        return train(network, list(records), **options)
-
-    return {f"{hidden} neurons": Structure(build, fit, grown=True)}
+    return {f"{hidden} neurons": Structure(build, partial(_fit, **options), grown=True)}
 
 
 # ---- servo-hydraulic test machine
@@ -114,8 +114,7 @@ def _crane_folds(runs: Runs) -> list[Fold]:
 
 def _crane_fit(network: Network, records: Sequence[Record]) -> Trained:
     """Fit pieces: one from the middle has an unknown initial state, while the run itself starts from rest."""
-    cut = any(r.initial for r in records)
-    return train(network, list(records), decay=0.02, epochs=200, estimate_initial=cut)
+    return _fit(network, records, decay=0.02, epochs=200, estimate_initial=any(r.initial for r in records))
 
 
 CRANE = Study(
@@ -247,10 +246,6 @@ def _ced(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
     return {n: r.cut(0, 300) for n, r in runs.items()}, {f"{n}_test": replace(r, skip=300) for n, r in runs.items()}
 
 
-def _ced_fit(network: Network, records: Sequence[Record]) -> Trained:
-    return train(network, list(records), decay=1e-4, epochs=200)
-
-
 CED = Study(
     "ced",
     "ced",
@@ -258,7 +253,7 @@ CED = Study(
     _ced,
     _linear("ced", {VOLTAGE: (1, 2, 3)}, PULSES, (1, 2, 3), epochs=200),
     {
-        name: Structure(partial(drives, **options), _ced_fit)
+        name: Structure(partial(drives, **options), partial(_fit, decay=1e-4, epochs=200))
         for name, options in {
             "friction 2": {"friction": 2},
             "friction 3": {"friction": 3},

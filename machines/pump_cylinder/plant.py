@@ -15,30 +15,14 @@ from greygate.plants.excitation import chirp, prms
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import simulate
+from greygate.reading import read_toml
 
-PLANT = Plant.read(Path(__file__).parent / "simulated" / "pump_cylinder.toml")
+SIMULATED = Path(__file__).parent / "simulated"
+PLANT = Plant.read(SIMULATED / "pump_cylinder.toml")
 """Thesis table 6.1."""
 
-DIFFERENCES = {
-    "bulk_modulus": 1.15e9,
-    "p_air": 2e5,
-    "v_a0": 1.50e-4,
-    "v_b0": 7.35e-5,
-    "displacement_1": 15.9e-6,
-    "displacement_2": 15.45e-6,
-    "ripple": 0.01,
-    "c_i": 1.13e-12,
-    "c_ea": 1.45e-13,
-    "c_eb": 1.0e-13,
-    "c_seal": 1e-10,
-    "warming": 0.03,
-    "f_coulomb": 400.0,
-    "f_static": 470.0,
-    "sigma2": 2200.0,
-    "t_drive": 4e-3,
-}
-"""The rig against table 6.1: softer oil with air in it, other volumes, pumps that differ and pulse, more leakage that
-grows as the oil warms, a seal that leaks turbulently, other friction, slower drives."""
+DIFFERENCES = read_toml(SIMULATED / "differences.toml", "install greygate again")
+"""Parameters of the rig in the laboratory."""
 
 SAMPLE_TIME = 1e-3
 CONVERTER = 2**-15  # of full scale: 16 bit, signed

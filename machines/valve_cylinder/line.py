@@ -59,7 +59,9 @@ class Line:
         }
 
     def fit(self, modes: int = 3, band: float = 2 * np.pi * 1000) -> dict[str, np.ndarray]:
-        """Least-squares modal gains up to `band` rad/s: function -> (modes, 2), columns a, b of `modal`.
+        """Least-squares modal gains up to `band` rad/s: function -> (modes, 2), columns a, b.
+
+        A function is the sum over n of (a_n s omega_n + b_n omega_n^2) / (s^2 + damping s + omega_n^2).
 
         Strictly proper and stable by construction, so no algebraic loop closes through the valve or the pump chamber;
         the gain at s = 0 is exact.
@@ -77,10 +79,6 @@ class Line:
             a, b = solution[:modes] * scale, solution[modes:] * scale
             fitted[name] = np.column_stack([a, [*b, gain - b.sum()]])
         return fitted
-
-    def modal(self, gains: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """sum over n of (a_n s omega_n + b_n omega_n^2) / (s^2 + damping s + omega_n^2) at complex `s`."""
-        return self._basis(s, len(gains)) @ gains.T.ravel()
 
     def _basis(self, s: np.ndarray, modes: int) -> np.ndarray:
         s, omega = s[:, None], self.frequencies(modes)

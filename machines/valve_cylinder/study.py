@@ -46,6 +46,14 @@ def record(scenario: Recording) -> Record:
     return Record({n: c[n] for n in ("v_c", "x")}, {n: c[n] for n in ("p_a", "p_b")})
 
 
+def nominal(recording: Recording) -> dict[str, float]:
+    """The parameters of `valve_srnn`: the plant's, the supply's mean pressure, and the chambers' as the run begins."""
+    k = {symbol: p.value for symbol, p in valve_cylinder().parameters.items()}
+    rest = float(recording["p_a"][0])
+    k |= {"p_s": float(np.mean(recording["p_s"])), "p_a_rest": rest, "p_b_rest": rest}
+    return k | {"area_a": k["area"], "area_b": k["area"]}
+
+
 def assemble(
     flow: Network, divider: Network, training: Recording | None = None, taps: int = 4, mean: bool = True
 ) -> Network:
@@ -54,13 +62,8 @@ def assemble(
     training: that run; by default the scenario of that name. taps: of `valve_srnn`; one in the thesis. mean: whether
     the network takes the spool's mean over an interval or, as in the thesis, where it is at the sample.
     """
-    plant = valve_cylinder()
-    k = {symbol: p.value for symbol, p in plant.parameters.items()}
-    channels = (training or scenario("training")).channels
-    rest = float(channels["p_a"][0])
-    k |= {"p_s": float(np.mean(channels["p_s"])), "p_a_rest": rest, "p_b_rest": rest}
-    k |= {"area_a": k["area"], "area_b": k["area"]}
-    a, b, c, d = spool_discrete(plant)
+    k = nominal(training or scenario("training"))
+    a, b, c, d = spool_discrete(valve_cylinder())
     if not mean:
         c, d = a[SPOOL], float(b[SPOOL])
     return valve_srnn(k, flow, divider, driven_spool(a, b, c, d, k["u_max"]), taps=taps)

@@ -22,7 +22,7 @@ from greygate.machines.valve_cylinder.line import Line
 from greygate.machines.valve_cylinder.network import driven_spool, valve_srnn
 from greygate.machines.valve_cylinder.plant import spool_discrete, valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import HOLD, LEVEL, measure
-from greygate.machines.valve_cylinder.study import record, tuning
+from greygate.machines.valve_cylinder.study import nominal, record, tuning
 from greygate.models.accuracy import free_run_rms
 from greygate.models.families.blocks import feedforward
 from greygate.models.families.library import library
@@ -97,13 +97,8 @@ SCENARIOS = tuple(f"oil_{t}" for t in RUNS["oil"][1])
 
 def assemble(seed: int = 0, warm: bool = True) -> Network:
     """The network before its training, with the parameters of oil at 20 degC. warm: with the two terms of this file."""
-    plant = valve_cylinder()
-    k = {symbol: p.value for symbol, p in plant.parameters.items()}
-    known = recording(RUNS["training"][1][0], RUNS["training"][0])
-    rest = float(known["p_a"][0])
-    k |= {"p_s": float(np.mean(known["p_s"])), "p_a_rest": rest, "p_b_rest": rest}
-    k |= {"area_a": k["area"], "area_b": k["area"]}
-    spool = driven_spool(*spool_discrete(plant), k["u_max"])
+    k = nominal(recording(RUNS["training"][1][0], RUNS["training"][0]))
+    spool = driven_spool(*spool_discrete(valve_cylinder()), k["u_max"])
     oil = (OIL, small("soft", seed, 1.0), small("leak", seed, SIZE)) if warm else None
     return valve_srnn(k, library("flow"), library("divider"), spool, oil=oil)
 

@@ -46,29 +46,7 @@ _IN = re.compile(r"\s*(?P<name>\S.*?)\s+in\s+(?P<unit>\S+)\s*")
 _COMMA = re.compile(r"\s*(?P<name>[^,:;]+?)\s*[,:;]\s*(?P<unit>[^,:;]+?)\s*")
 
 ALONE = frozenset({"h", "d", "t", "l"})  # of `READINGS`: in a product they are the unit
-
-_RANGE = "a part of a range that is not told; multiply by it, or write percent or 1"
-_LOGARITHM = "a logarithm of a ratio; convert it to the quantity itself"
-_PER_RPM = "over turns a minute or over 1/min, of which 2 pi lie between; write rpm below the slash, or min above it"
-_STANDARD = "a volume at a standard state, so a mass; convert it to kg/s, or to m^3/s as it flows"
-_SIZE = "the size of an oscillation, not a value at each time; write V or A if it is meant so"
-ADVICE = (
-    (
-        re.compile(r"%\s*(?:of\s+)?(?:F\.?\s?S\.?|FSO|FSR|full scale|span|max|v\.?E\.?)|p\.?\s?u\.?|per unit", re.I),
-        _RANGE,
-    ),
-    (re.compile(r".+/\s*(?:min\^?-1|\((?:1/min|min\^?-1)\))"), _PER_RPM),
-    (re.compile(r"dB\w*|dB\s*\(\w*\)|Np|neper|pH|bel", re.I), _LOGARITHM),
-    (
-        re.compile(
-            r"(?:std|st|s|n)\s?(?:l|ltr)(?:/min|/h|/s|pm|m)|scc?cm|sccm|scf[mh]|[ns]m\^?3(?:/\w+)?|m\^?3n(?:/\w+)?|ln/\w+",
-            re.I,
-        ),
-        _STANDARD,
-    ),
-    (re.compile(r"[mkuM]?[VA][\s_]?(?:rms|RMS|pp|PP|p-p|pk-pk|pk|p|peak|eff|ac|AC)"), _SIZE),
-)
-"""What is no unit of a value at a time, and what to do about it."""
+ADVICE = [(re.compile(form), told) for form, told in TABLE["advice"].items()]  # of what is no unit of a value at a time
 PRESSURE = re.compile(
     r"(?P<base>..+?)(?:\s*[([_\s-]\s*(?P<apart>absolute|absolut|abs|a|gauge|gage|ga|g|relative|relativ|rel|ü|ue|"
     r"differential|diff|d)\.?\s*[)\]]?|(?P<joined>abs|a|g|d|ü))",
