@@ -640,12 +640,12 @@ def test_a_limit_of_memory_that_is_there_is_kept_and_named(tmp_path):
         "print(read_recording(sys.argv[1]))"
     )
     said = {}
-    for most in (4000, 160):
+    for most in (4000, 120):
         command = [sys.executable, "-c", code, tmp_path / "a.mat", str(most)]
         said[most] = subprocess.run(command, capture_output=True, text=True)
     assert said[4000].stdout.startswith("<Recording")
-    assert "memory" in said[160].stderr
-    assert "damaged" not in said[160].stderr
+    assert "memory" in said[120].stderr
+    assert "damaged" not in said[120].stderr
 
 
 def test_what_reads_a_file_runs_no_code_and_opens_no_other(tmp_path):
