@@ -18,7 +18,7 @@ from greygate.mismatch.entries import SENSOR, TIME, Effect
 from greygate.mismatch.joining import join
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.runs import pieces
-from greygate.mismatch.scales import memory, span
+from greygate.mismatch.scales import memory, noise, span
 from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
@@ -40,6 +40,7 @@ FEWEST_SMOOTHED = 2 * FEWEST_BESIDE + 1  # samples
 PARABOLA, CUBIC = 2, 3  # degrees of the polynomials whose derivatives are smoothed rates
 READINGS = 3  # rounds in which a sensor's error, a small function of the true value, is taken off its reading
 TINY = 1e-300  # instead of a size that is 0, by which something is divided
+FAR = 10.0  # times its noise, by which a recorded state begins elsewhere than at 0
 START_SIZE = 1e-3  # of the largest reading: the least size of a starting value, by which its steps are scaled
 START_STEP = 1e-4  # of that size, for a difference
 FARTHEST = 1e6  # spreads of a channel: a run that diverges is said to be so far off
@@ -51,7 +52,8 @@ class Model:
     """The rig's plant over one recording; all effects have joined it, at values where they do nothing.
 
     values: symbol -> value at which the plant is that of the data sheet.
-    locals: the states that begin at every restart as recorded; a fit may shift them.
+    locals: the states that begin at every restart as recorded; a fit may shift them. begins: likewise of one free run,
+    where the plant's file says nothing of a beginning and the recording does not begin at 0.
     """
 
     def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], window: int | None = None):
@@ -138,6 +140,7 @@ class Model:
         self.rates = {v: x for v, x in rates.items() if x in self.measured}
         self.locals = [*self.measured, *self.rates]
         self.reset = np.array([s in self.locals for s in states])
+        self._smooth_channels: dict[tuple[str, int], np.ndarray] = {}
         sources = {how.partition(" ")[2] for how in self.plant.derived.values()}
         if recording.samples < FEWEST_SMOOTHED and (sources or self.rates):
             few = f"{recording.samples} samples; a rate is smoothed over {FEWEST_SMOOTHED}"
@@ -150,7 +153,17 @@ class Model:
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
         self._last: tuple[tuple | None, np.ndarray] = (None, np.empty((0, 0)))
         self._made: dict[tuple, dict[str, np.ndarray]] = {}
-        self._smooth_channels: dict[tuple[str, int], np.ndarray] = {}
+        self.begins = [] if window else self._elsewhere(rates)
+
+    def _elsewhere(self, rates: Mapping[str, str]) -> list[str]:
+        """Recorded states, and their rates, that do not begin at 0, where the plant's file says nothing else."""
+        recorded, found = self.recording.channels, []
+        given = [s for s, state in self.plant.states.items() if state.initial == 0.0]
+        for symbol in (s for s in given if s in recorded and s in self.rig.channels):
+            sigma = max(self.rig.channels[symbol].sigma, noise(recorded[symbol]))
+            if abs(recorded[symbol][0]) > FAR * sigma:
+                found.append(symbol)
+        return found + [rate for rate, symbol in rates.items() if symbol in found and rate in given]
 
     def _moving(self) -> list[str]:
         """Parameters that change the states: all but those that only outputs and sensors use."""
@@ -252,9 +265,13 @@ class Model:
         scope = Values(self.plant, {name: signal[at] for name, signal in signals.items()})
         scope.update(values)
         for channel in self.measured:
-            scope[channel] = self._unread(channel, self._unfiltered(channel, values)[at], values, at)
+            scope[channel] = self._read_at(channel, values, at)
         for rate, channel in self.rates.items():
             scope[rate] = self.smooth_rate(channel)[at]
+        positions = {state.rate: symbol for symbol, state in self.plant.states.items() if state.rate}
+        for s in self.begins:
+            read = s in self.recording.channels
+            scope[s] = self._read_at(s, values, at) if read else self.smooth_rate(positions[s])[at]
         out = np.empty((len(at), len(self.plant.states)))
         for j, (symbol, state) in enumerate(self.plant.states.items()):
             if symbol not in scope:
@@ -283,6 +300,10 @@ class Model:
         """RMS of a rate as a restart takes it, in its unit; where it rests, its sensor's noise a sample."""
         size = float(np.sqrt(np.mean(self.smooth_rate(self.rates[rate]) ** 2)))
         return size or self.rig.channels[self.rates[rate]].sigma / self.rig.dt
+
+    def _read_at(self, channel: str, values: Mapping[str, float], at: np.ndarray) -> np.ndarray:
+        """The state that a channel shows at the samples `at`, what its sensor adds taken off."""
+        return self._unread(channel, self._unfiltered(channel, values)[at], values, at)
 
     @np.errstate(over="ignore", invalid="ignore")  # a reading may be infinite
     def _unread(self, channel: str, read: np.ndarray, values: Mapping[str, float], at: np.ndarray) -> np.ndarray:
@@ -321,9 +342,9 @@ class Model:
             given = {source: signals[source]} if source in signals else self.recording.channels
             signals[name] = self._input(name, given)
         starts = self.starts(values, signals)
-        if shifts is not None and len(self.locals):
+        if shifts is not None and shifts.size:
             symbols = list(self.plant.states)
-            starts[:, [symbols.index(s) for s in self.locals]] += shifts
+            starts[:, [symbols.index(s) for s in self.locals or self.begins]] += shifts
         key = (tuple(values[s] for s in self.moving), None if shifts is None else shifts.tobytes())
         last = self._last  # other threads may put another in its place
         if key != last[0]:
@@ -458,26 +479,31 @@ def beginnings(model: Model) -> list[str]:
     return [symbol for symbol in model.plant.parameters if symbol in initial or symbol in model.rig.anew]
 
 
-def begun(model: Model, values: Mapping[str, float], samples: int) -> dict[str, float]:
-    """`values`, in which the `beginnings` are fitted to the recording's first `samples` by least squares."""
+def begun(model: Model, values: Mapping[str, float], samples: int) -> tuple[dict[str, float], np.ndarray | None]:
+    """(`values`, shifts of the states that begin as recorded), as the recording's first `samples` have them.
+
+    The `beginnings` and these shifts are fitted to those samples by least squares.
+    """
     values = {**model.values, **values}
-    symbols = beginnings(model)
-    if not symbols or not samples:
-        return values
+    symbols, states = beginnings(model), model.begins
+    if not (symbols or states) or not samples:
+        return values, None
     scale = np.std(model.target, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
 
+    def unpacked(at: np.ndarray) -> tuple[dict[str, float], np.ndarray | None]:
+        given = {**values, **dict(zip(symbols, map(float, at), strict=False))}
+        return given, at[len(symbols) :][None] if states else None
+
     def errors(at):
-        given = {**values, **dict(zip(symbols, at, strict=True))}
-        left = ((model.target - model.predict(given))[:samples] / scale).ravel()
+        left = ((model.target - model.predict(*unpacked(at)))[:samples] / scale).ravel()
         return np.clip(np.nan_to_num(left, nan=FARTHEST), -FARTHEST, FARTHEST)
 
-    start = np.array([values[s] for s in symbols])
+    start = np.array([values[s] for s in symbols] + [0.0] * len(states))
     size = np.maximum(np.abs(start), START_SIZE * float(np.abs(model.target).max()) + TINY)
 
     def slopes(at):  # by steps of the same size everywhere: near 0 a part of the value is nothing
         steps = START_STEP * np.diag(size)
         return np.stack([(errors(at + step) - errors(at)) / step.sum() for step in steps], axis=1)
 
-    found = least_squares(errors, start, slopes, x_scale=size, max_nfev=START_TRIALS)
-    return {**values, **dict(zip(symbols, map(float, found.x), strict=True))}
+    return unpacked(least_squares(errors, start, slopes, x_scale=size, max_nfev=START_TRIALS).x)

@@ -110,6 +110,6 @@ def by_rule(model: Model, values: Mapping[str, float], skip: int = 0) -> tuple[n
     """
     each = model.in_each(values) if isinstance(model, Several) else [values]
     known = [{s: v for s, v in there.items() if s in m.values} for m, there in zip(model.each, each, strict=True)]
-    predicted = [m.predict(begun(m, there, skip)) for m, there in zip(model.each, known, strict=True)]
+    predicted = [m.predict(*begun(m, there, skip)) for m, there in zip(model.each, known, strict=True)]
     counts = [np.arange(len(m.target)) >= skip for m in model.each]
     return np.concatenate(predicted), np.concatenate(counts)

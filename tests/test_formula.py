@@ -8,7 +8,9 @@ from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import read
 from greygate.mismatch.forced import Forced
 from greygate.mismatch.formula import Finder
+from greygate.mismatch.model import Model
 from greygate.mismatch.search import Search
+from greygate.mismatch.several import by_rule
 from greygate.mismatch.words import lines
 from greygate.pages.diagnosis import page
 from greygate.plants.plant import Plant
@@ -33,6 +35,25 @@ tolerance = { R = 0.1, J = 0.05, b = 0.3 }
 channels.u = { unit = "V", role = "input" }
 channels.i = { unit = "A", role = "output", noise_rms = 0.005 }
 channels.w = { unit = "rad/s", role = "output", noise_rms = 0.05 }
+"""
+CART = """
+step = 1e-3
+outputs = ["x"]
+inputs = { u = "N" }
+parameters = { mass = [2.0, "kg"], b = [3.0, "N s/m"] }
+states = { x = { unit = "m", rate = "v" }, v = { unit = "m/s" } }
+[equations]
+place.x = { speed = "v" }
+motion.v = { storage = "mass", drive = "u", guide = "-b * v" }
+"""
+CART_RIG = """
+plant = "cart.toml"
+sample_time_s = 0.01
+settle_s = 0.2
+predict = ["x"]
+parameters = { mass = 2.0, b = 3.0 }
+channels.u = { unit = "N", role = "input" }
+channels.x = { unit = "m", role = "output" }
 """
 SAMPLES = 1500
 
@@ -129,3 +150,19 @@ def test_an_accepted_formula_is_named_as_an_effect_of_the_rigs_own_table(hidden,
     code, _, err = greygate("diagnose", rig.folder, "--accept")  # now it has a name
     assert (code, "found no formula (missing_physics): nothing was accepted" in err) == (2, True)
     assert greygate("diagnose", rig.folder, rig.folder, "--accept")[0] == 2
+
+
+def test_a_run_that_begins_elsewhere_than_the_plant_says_begins_as_recorded(tmp_path):
+    """The last 300 of 600 samples of a cart that moves: position and speed are those of that moment."""
+    (tmp_path / "cart.toml").write_text(CART)
+    (tmp_path / "rig.toml").write_text(CART_RIG)
+    force = np.repeat(np.random.default_rng(0).uniform(-5, 5, 12), 50)
+    x = simulate(Plant.read(tmp_path / "cart.toml"), {"u": force}, sample_time=0.01, step=1e-3)["x"]
+    for name, part in (("identify", slice(0, 300)), ("holdout", slice(300, 600))):
+        columns = np.column_stack([np.arange(300) * 0.01, force[part], x[part]])
+        np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header="t,u,x", comments="")
+    rig = rigs.load(tmp_path)
+    first, second = (Model(rig, rig.recording(tmp_path / f"{name}.csv"), {}) for name in ("identify", "holdout"))
+    assert (first.begins, second.begins) == ([], ["x", "v"])
+    predicted, counts = by_rule(second, {}, skip=20)
+    assert np.abs(predicted - second.target)[counts].max() < 1e-3 * np.ptp(x)

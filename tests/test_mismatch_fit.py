@@ -288,7 +288,7 @@ def test_an_integral_rises_within_a_sample(tmp_path):
     n = 3.0 + np.sin(0.05 * np.arange(400))
     (tmp_path / "turning.toml").write_text(TURNING)
     (tmp_path / "rig.toml").write_text(TURNING_RIG)
-    table = np.column_stack([np.arange(400) * 0.01, n, n])
+    table = np.column_stack([np.arange(400) * 0.01, n, n - n[0]])
     np.savetxt(tmp_path / "identify.csv", table, delimiter=",", header="t,n,x", comments="", fmt="%.15g")
     loaded = rig.load(tmp_path)
     late = Effect(
