@@ -115,25 +115,13 @@ def module_text(head: list[str], body: str) -> str:
     return f"{lines}\n`default_nettype none\n\n{body}\nendmodule\n\n`default_nettype wire\n"
 
 
-def top_ports(program: Program) -> tuple[str, int, int]:
-    """The top's port list, and the widths of its two streams."""
-    width_in = sum(lane_width(p.signal) * p.signal.size for p in program.inputs)
-    width_out = sum(lane_width(p.signal) * p.signal.size for p in program.outputs)
-    if not width_in or not width_out:
+def stream_widths(program: Program) -> dict[str, int]:
+    """Bits of the two streams, as templates call them."""
+    sides = {"width_in": program.inputs, "width_out": program.outputs}
+    found = {name: sum(lane_width(p.signal) * p.signal.size for p in ports) for name, ports in sides.items()}
+    if not all(found.values()):
         raise InputError(f"program {program.name}: hardware needs at least one input and one output")
-    last_in, last_out = f"[{width_in - 1}:0]", f"[{width_out - 1}:0]"
-    pad = max(len(last_in), len(last_out))
-    rows = [
-        f"input  wire {'':{pad}} clk",
-        f"input  wire {'':{pad}} rst",
-        f"input  wire {last_in:>{pad}} s_axis_tdata",
-        f"input  wire {'':{pad}} s_axis_tvalid",
-        f"output wire {'':{pad}} s_axis_tready",
-        f"output wire {last_out:>{pad}} m_axis_tdata",
-        f"output wire {'':{pad}} m_axis_tvalid",
-        f"input  wire {'':{pad}} m_axis_tready",
-    ]
-    return ",\n".join(f"    {r}" for r in rows), width_in, width_out
+    return found
 
 
 def header(program: Program, architecture: str) -> list[str]:
@@ -381,9 +369,9 @@ def result_text(lanes: Sequence[str]) -> str:
     return f"    assign result = {{\n{listed}\n    }};\n\n"
 
 
-def stream_instance(width_in: int, width_out: int, ready: str) -> str:
+def stream_instance(width_in: int, width_out: int) -> str:
     """The edge of the core."""
-    ports = {p: p for p in PORTS} | {"ready": ready} | {p: p for p in ("sample", "start", "done", "result")}
+    ports = {p: p for p in PORTS} | {"ready": "1'b1"} | {p: p for p in ("sample", "start", "done", "result")}
     return instance("greygate_stream", "stream", {"IN_W": width_in, "OUT_W": width_out}, ports)
 
 

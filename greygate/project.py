@@ -116,7 +116,8 @@ def compile_project(
             )
         facts = {}
         if explorer:
-            formats, architectures, design = explorer.formats, (explorer.architecture,), explorer.design
+            point = explorer.point
+            formats, architectures, design = point.candidate.formats, (point.architecture,), point.design
             facts = {"explored": explorer.facts}
         _write(new, source, compiled, formats, architectures, design, facts)
         if any(isinstance(target(a), Architecture) for a in architectures):

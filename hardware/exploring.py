@@ -11,10 +11,8 @@ from greygate.compiler.centre import centre_biases
 from greygate.compiler.explore import Exploration, Point, Request, Room, Unmet, explore, told
 from greygate.compiler.explore.judge import Bound, Judge, Scale
 from greygate.compiler.explore.trail import Maker
-from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import Range
 from greygate.compiler.study import Costed, Explored
-from greygate.compiler.targets import Design
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.hardware.families import DEVICES
@@ -125,18 +123,6 @@ class Explorer:
         assert self.found is not None, "it has explored"
         assert self.found.chosen is not None, "it has chosen"
         return self.found.chosen
-
-    @property
-    def formats(self) -> Formats:
-        return self.point.candidate.formats
-
-    @property
-    def architecture(self) -> str:
-        return self.point.architecture
-
-    @property
-    def design(self) -> Design:
-        return self.point.design
 
     @property
     def lines(self) -> list[str]:

@@ -37,34 +37,28 @@ def table_of(places, highest):
 
 
 @kernel
+def copied(counts, places, least):
+    """A table of so many places with the patterns that occur at least so often, each in the bucket of its count."""
+    new = table_of(places, counts.bucket.shape[0] - 1)
+    for h in range(counts.table.shape[0]):
+        if counts.table[h, KEY] != FREE and counts.table[h, COUNT] >= least:
+            k = seat(new.table, counts.table[h, KEY])
+            new.table[k, KEY], new.table[k, COUNT] = counts.table[h, KEY], counts.table[h, COUNT]
+            bucketed(new, k)
+            new.ints[TAKEN] += 1
+    return new
+
+
+@kernel
 def frequent(counts, room):
-    """A table with room for `room` more of those patterns that still occur twice, each in the bucket of its count."""
+    """A table with room for `room` more of those patterns that still occur twice."""
     kept = 0
     for h in range(counts.table.shape[0]):
         kept += counts.table[h, KEY] != FREE and counts.table[h, COUNT] > 1
     places = SMALLEST
     while places < 3 * (kept + room):
         places *= 2
-    new = table_of(places, counts.bucket.shape[0] - 1)
-    for h in range(counts.table.shape[0]):
-        if counts.table[h, KEY] != FREE and counts.table[h, COUNT] > 1:
-            k = seat(new.table, counts.table[h, KEY])
-            new.table[k, KEY], new.table[k, COUNT] = counts.table[h, KEY], counts.table[h, COUNT]
-            bucketed(new, k)
-    new.ints[TAKEN] = kept
-    return new
-
-
-@kernel
-def grown(counts):
-    """A table of twice the places with the same patterns, none in a bucket."""
-    new = table_of(2 * counts.table.shape[0], counts.bucket.shape[0] - 1)
-    for h in range(counts.table.shape[0]):
-        if counts.table[h, KEY] != FREE:
-            k = seat(new.table, counts.table[h, KEY])
-            new.table[k, KEY], new.table[k, COUNT] = counts.table[h, KEY], counts.table[h, COUNT]
-    new.ints[TAKEN] = counts.ints[TAKEN]
-    return new
+    return copied(counts, places, 2)
 
 
 @kernel
@@ -88,7 +82,7 @@ def counted(groups, sums, terms):
                     counts.ints[TAKEN] += 1
                 counts.table[h, COUNT] += 1
             if 2 * (counts.ints[TAKEN] + n) > counts.table.shape[0]:
-                counts = grown(counts)
+                counts = copied(counts, 2 * counts.table.shape[0], 1)
     return frequent(counts, terms)
 
 

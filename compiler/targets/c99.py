@@ -6,7 +6,7 @@ of docs/integer-program.md.
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from textwrap import wrap
 from typing import Any
 
@@ -14,8 +14,8 @@ import numpy as np
 
 from greygate.compiler.targets import Target
 from greygate.compiler.verilog import render
-from greygate.emulator.numbers import ACCUMULATOR_BITS, Fix, Overflow, Rounding
-from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Signal, Terminal, Threshold
+from greygate.emulator.numbers import ACCUMULATOR_BITS, Fix, Rounding
+from greygate.emulator.program import Affine, Program, Terminal
 from greygate.emulator.tables import Lines, Symmetry, Table
 
 WORDS = (8, 16, 32, 64)  # bits of the integer types
@@ -115,7 +115,9 @@ def _step(program: Program, context: dict) -> Text:
     yield from (f"    (void){signals[name]};" for name in _unread(program))
     for n, o in enumerate(program.operations):
         yield f"    /* {n}: {o.op.value} {re.sub(r'[^ -~]', '?', o.out.name)} {o.out.fix} */"
-        yield from _BODY[o.op](program, n, o, signals, tables)
+        own = {"n": n, "o": o, "to": signals[o.out.name], "tables": tables, "number": number}
+        body = render("c99_operation", context | own | {"half": HALF, "most": ACCUMULATOR_BITS})
+        yield from each(o.out.size, *body.splitlines())
     for p in program.outputs:
         yield from each(p.signal.size, f"output->{context['outputs'][p.name]}[r] = {signals[p.signal.name]}[r];")
     for s in program.states:
@@ -152,26 +154,6 @@ def each(size: int, *body: str) -> Text:
         yield from ("    {", *(f"        {line.replace('[r]', '[0]')}" for line in body), "    }")
 
 
-def _fitted(n: int, program: Program, out: Signal, to: str, overflow: Overflow) -> list[str]:
-    """Bring the int64_t y into the format of `out`, and store it."""
-    fix, told = out.fix, f"{program.name.upper()}_SATURATED({n});"
-    lo, hi = number(fix.lo), number(fix.hi)
-    store = f"{to}[r] = ({integer(fix)})y;"
-    if overflow is Overflow.SATURATE:
-        ends = [
-            [f"if (y {sign} {end})", "{", f"    y = {end};", f"    {told}", "}"] for sign, end in (("<", lo), (">", hi))
-        ]
-        return [*ends[0], *ends[1], store]
-    mask, turn = (1 << fix.width) - 1, number(1 << fix.width)
-    wrapped = [f"y = (int64_t)((uint64_t)y & UINT64_C({mask}));", f"y = (y > {hi}) ? (y - {turn}) : y;"]
-    return [f"if ((y < {lo}) || (y > {hi}))", "{", *(f"    {line}" for line in (*wrapped, told)), "}", store]
-
-
-def _drop(value: Fix, out: Fix) -> int:
-    """Fraction bits that are lost, at most ACCUMULATOR_BITS: more give the same result."""
-    return min(value.frac - out.frac, ACCUMULATOR_BITS)
-
-
 def _weights(program: Program, n: int, o: Affine) -> Text:
     start = 0
     for k, arg in enumerate(o.args):
@@ -182,68 +164,10 @@ def _weights(program: Program, n: int, o: Affine) -> Text:
     yield from _constants(f"s{n}", np.minimum(o.frac - o.out.fix.frac, ACCUMULATOR_BITS))
 
 
-def _affine(program: Program, n: int, o: Affine, signals: dict[str, str], tables: dict[str, str]) -> Text:
-    sums = []
-    for k, arg in enumerate(o.args):
-        term = f"y += (int64_t)w{n}_{k}[r][j] * (int64_t){signals[arg]}[j];"
-        size = program.signals[arg].size
-        loop = [f"for (int32_t j = 0; j < {size}; j++)", "{", f"    {term}", "}"]
-        sums += loop if size > 1 else [term.replace("[j]", "[0]")]
-    scaled = f"y = scaled(y, (int32_t)s{n}[r], {HALF[o.rounding]});"
-    fitted = _fitted(n, program, o.out, signals[o.out.name], o.overflow)
-    yield from each(o.out.size, f"int64_t y = (int64_t)b{n}[r];", *sums, scaled, *fitted)
-
-
-def _lookup(program: Program, n: int, o: Lookup, signals: dict[str, str], tables: dict[str, str]) -> Text:
-    answer = f"{tables[o.table]}((int64_t){signals[o.arg]}[r])"
-    yield from each(o.out.size, f"{signals[o.out.name]}[r] = ({integer(o.out.fix)}){answer};")
-
-
-def _clamp(program: Program, n: int, o: Clamp, signals: dict[str, str], tables: dict[str, str]) -> Text:
-    lo, hi = number(o.lo), number(o.hi)
-    shift = _drop(program.signals[o.arg].fix, o.out.fix)
-    limited = [
-        f"int64_t y = (int64_t){signals[o.arg]}[r];",
-        f"y = (y < {lo}) ? {lo} : y;",
-        f"y = (y > {hi}) ? {hi} : y;",
-    ]
-    scaled = f"y = scaled(y, {shift}, {HALF[o.rounding]});"
-    yield from each(o.out.size, *limited, scaled, *_fitted(n, program, o.out, signals[o.out.name], o.overflow))
-
-
-def _threshold(program: Program, n: int, o: Threshold, signals: dict[str, str], tables: dict[str, str]) -> Text:
-    chosen = f"((int64_t){signals[o.arg]}[r] >= {number(o.at)}) ? {number(o.above)} : {number(o.below)}"
-    yield from each(o.out.size, f"{signals[o.out.name]}[r] = ({integer(o.out.fix)})({chosen});")
-
-
-def _select(program: Program, n: int, o: Select, signals: dict[str, str], tables: dict[str, str]) -> Text:
-    def scaled(arg: str) -> str:
-        shift = _drop(program.signals[arg].fix, o.out.fix)
-        return f"scaled((int64_t){signals[arg]}[r], {shift}, {HALF[o.rounding]})"
-
-    chosen = f"int64_t y = ({signals[o.condition]}[r] >= 0) ? {scaled(o.above)} : {scaled(o.below)};"
-    yield from each(o.out.size, chosen, *_fitted(n, program, o.out, signals[o.out.name], o.overflow))
-
-
-_BODY: dict[Op, Callable[..., Text]] = {
-    Op.AFFINE: _affine,
-    Op.TABLE: _lookup,
-    Op.CLAMP: _clamp,
-    Op.THRESHOLD: _threshold,
-    Op.SELECT: _select,
-}
-
-
 def _lookup_function(t: Table | Lines, name: str) -> Text:
     """The answer of a table to one code."""
     s = t.segments
-    context: dict[str, Any] = {
-        "t": t,
-        "s": s,
-        "name": name,
-        "points": not _on_lines(t),
-        "half": number((1 << s.shifts[0]) >> 1),
-    }
+    context: dict[str, Any] = {"t": t, "s": s, "name": name, "half": number((1 << s.shifts[0]) >> 1)}
     if isinstance(t, Table) and not t.interpolated:
         yield from _constants(f"{name}_points", t.points)
         context["last"] = len(t.points) - 1
@@ -254,7 +178,7 @@ def _lookup_function(t: Table | Lines, name: str) -> Text:
         context["last"], (context["lower"], context["upper"]) = len(s.bases) - 1, map(number, s.halves)
     one = number(1 << max(0, t.out.frac))
     negative = {Symmetry.ODD: "-y", Symmetry.EVEN: "y", Symmetry.COMPLEMENT: f"{one} - y"}[t.symmetry]
-    yield render("c99_table", context | {"negative": negative}).rstrip()
+    yield render("c99_table", context | {"negative": negative, "points": not _on_lines(t)}).rstrip()
 
 
 TARGET = Target(lambda program, design: files(program))

@@ -144,8 +144,9 @@ class _Core:
             f" {f.utilisation:.0%} of what {f.multipliers} multiplier{'s' * (f.multipliers > 1)} could.",
             "Fields of a line from left to right: " + ", ".join(n for n, _, _ in self.fields) + ".",
         ]
-        out = f"    assign {{{', '.join(n for n, _, _ in self.fields)}}} = line;\n"
-        return rom_text(comment, f"{self.program.name}__schedule", ",\n".join(ports), width, rows, "pc", out)
+        out = f"{{{', '.join(n for n, _, _ in self.fields)}}}"
+        context = {"name": f"{self.program.name}__schedule", "ports": ",\n".join(ports), "width": width, "rows": rows}
+        return rom_text(comment, context | {"index": "pc", "out": out})
 
     def biases_rom(self) -> str:
         f, width = self.folding, self.widths["acc"]
@@ -156,8 +157,8 @@ class _Core:
             f"Biases of {self.program.name} with their rounding constants, in the order in which the rows begin;"
             f" {f.boots} initial states first."
         ]
-        name = f"{self.program.name}__biases"
-        return rom_text(comment, name, ports, width, rows, "index", "    assign bias = line;\n")
+        context = {"name": f"{self.program.name}__biases", "ports": ports, "width": width, "rows": rows}
+        return rom_text(comment, context | {"index": "index", "out": "bias"})
 
     def top(self) -> str:
         f, program, w = self.folding, self.program, self.widths
@@ -175,7 +176,7 @@ class _Core:
             {
                 **{
                     "name": program.name,
-                    "ports": verilog.top_ports(program)[0],
+                    **verilog.stream_widths(program),
                     "core": self,
                     "f": f,
                     "w": w,
@@ -366,15 +367,7 @@ def rom_rows(columns: list[tuple[np.ndarray, int, bool]], notes: dict[int, list[
     return [f"{width}'h{t:x};" for t in total]
 
 
-def rom_text(comment: list[str], name: str, ports: str, width: int, rows: list[str], index: str, out: str) -> str:
-    """A synchronous ROM with lines that a person can read."""
-    listed = "\n".join(f"        rom[{n}] = {row}" for n, row in enumerate(rows))
-    style = verilog.MEMORIES["block"] if len(rows) >= DEEP else ""
-    return verilog.module_text(
-        comment,
-        f"module {name} (\n{ports}\n);\n\n"
-        f"    {style}reg [{width - 1}:0] rom[0:{len(rows) - 1}];\n"
-        f"    reg [{width - 1}:0] line;\n"
-        f"    always @(posedge clk) line <= rom[{index}];\n{out}\n"
-        f"    initial begin\n{listed}\n    end\n",
-    )
+def rom_text(comment: list[str], context: dict) -> str:
+    """A synchronous ROM with lines that a person can read: name, ports, width, rows, index and what reads a line."""
+    style = verilog.MEMORIES["block"] if len(context["rows"]) >= DEEP else ""
+    return verilog.module_text(comment, verilog.render("rom.v", context | {"style": style}))

@@ -48,11 +48,10 @@ class _Parallel(Dataflow):
     def top(self) -> str:
         """The top module: registers of the states, the layers, and the two streams."""
         program = self.program
-        ports, width_in, width_out = verilog.top_ports(program)
-        named = {"core": self, "program": program, "names": self.names, "initial": self.initial(), "ports": ports}
-        widths = {"depth": max(self.since.values()), "width_in": width_in, "width_out": width_out}
-        stream = verilog.stream_instance(width_in, width_out, "1'b1")
-        body = verilog.render("parallel.v", named | widths | {"layers": self.layers(), "stream": stream})
+        named = {"core": self, "program": program, "names": self.names, "initial": self.initial()}
+        widths = verilog.stream_widths(program)
+        named |= {"layers": self.layers(), "stream": verilog.stream_instance(**widths)}
+        body = verilog.render("parallel.v", named | widths | {"depth": max(self.since.values())})
         return verilog.module_text(verilog.header(program, "parallel"), body)
 
     def clock(self, since: int) -> str:

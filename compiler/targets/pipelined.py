@@ -11,7 +11,7 @@ samples of one stand further apart, and a loop that is no longer than the channe
 from greygate.compiler.dataflow import Dataflow
 from greygate.compiler.targets import Architecture, Design
 from greygate.compiler.targets.parallel import registers
-from greygate.compiler.verilog import header, module_text, render, top_ports
+from greygate.compiler.verilog import header, module_text, render, stream_widths
 from greygate.emulator.program import Program, Signal
 
 
@@ -64,14 +64,13 @@ class _Pipelined(Dataflow):
     def top(self) -> str:
         """The top module."""
         program, channels = self.program, self.design.channels
-        ports, width_in, width_out = top_ports(program)
         depth, layers = max(self.stage.values()), self.layers()
         stored = {}  # state -> the registers of its channels
         if channels > 1:
             stored = {s.signal.name: self.fresh(f"{self.names[s.signal.name]}_of") for s in program.states}
         result = self.outputs({p.signal.name: self.at(p.signal.name, depth) for p in program.outputs})
-        named = {"core": self, "program": program, "names": self.names, "initial": self.initial(), "ports": ports}
-        named |= {"width_in": width_in, "width_out": width_out, "depth": depth, "stored": stored}
+        named = {"core": self, "program": program, "names": self.names, "initial": self.initial()}
+        named |= {"depth": depth, "stored": stored, **stream_widths(program)}
         named |= {"answer": self.fresh("answer"), "valid": self.fresh("answer_valid")}
         named |= {"rest": self.fresh("rest") if self.interval > 1 else "", "taken": self.fresh("taken")}
         named |= {"rest_bits": (self.interval - 1).bit_length(), "turn": self.fresh("turn") if stored else ""}

@@ -37,7 +37,6 @@ TARGET = Architecture(serial, registers, clocks)
 
 
 def _top(program: Program, code: Code) -> str:
-    ports, width_in, width_out = verilog.top_ports(program)
     w = code.widths
     parameters = {f"{k.upper()}_W": v for k, v in w.items()}
     parameters |= {"PUSHES": int(code.pushes > 0), "BOOT": code.boot, "START": code.start}
@@ -48,14 +47,8 @@ def _top(program: Program, code: Code) -> str:
     bits, ordered = _sample(code)
     pushed, result = _outputs(program)
     unused = [*verilog.unused_bits(program), *([] if code.pushes else ["push"])]
-    context = {"name": program.name, "ports": ports, "w": w, "width_in": width_in, "width_out": width_out}
-    context |= {
-        "bits": bits,
-        "ordered": ordered,
-        "unused": verilog.unused_text(unused),
-        "pushed": pushed,
-        "result": result,
-    }
+    context = {"name": program.name, "w": w, "bits": bits, "ordered": ordered, "pushed": pushed, "result": result}
+    context |= {"unused": verilog.unused_text(unused), **verilog.stream_widths(program)}
     context |= {"machine": verilog.instance("greygate_serial", "machine", parameters, {k: k for k in ends})}
     context |= {"code": verilog.instance(f"{program.name}__code", "code", {}, rom)}
     context |= {"memory": verilog.instance(f"{program.name}__memory", "memory", {}, memory)}

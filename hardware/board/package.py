@@ -103,16 +103,8 @@ class Package:
             chain.textual.replace("config", "textcfg"): chain.textual,
         }
         named = [word for option, suffix in files.items() for word in (f"--{option}", f"{self.name}.{suffix}")]
-        return [
-            *self.board.part,
-            *named,
-            "--freq",
-            f"{self.mhz:g}",
-            "--seed",
-            "1",
-            "--report",
-            f"{self.name}__report.json",
-        ]
+        report = ["--report", f"{self.name}__report.json"]
+        return [*self.board.part, *named, "--freq", f"{self.mhz:g}", "--seed", "1", *report]
 
     @cached_property
     def blocks(self) -> dict[str, str]:
