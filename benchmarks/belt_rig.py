@@ -21,7 +21,6 @@ from greygate.models.accuracy import free_run_rms, rms
 from greygate.models.families.blocks import feedforward
 from greygate.models.families.radial import rbf as radial_fit
 from greygate.models.families.recurrent import elman as elman_network
-from greygate.models.families.recurrent import frnn
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Trained, train
@@ -31,6 +30,7 @@ from greygate.progress import Progress, silent
 
 from .descent import gradient_descent
 from .shared import say, stopwatch
+from .thesis.recurrent import frnn
 
 TAKES = "half an hour"
 

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from benchmarks.thesis.recurrent import frnn
 from benchmarks.thesis.templates import TEMPLATES, template
 from greygate.errors import InputError
-from greygate.models.families.recurrent import elman, frnn
+from greygate.models.families.recurrent import elman
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective

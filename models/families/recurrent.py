@@ -1,4 +1,4 @@
-"""Elman and fully recurrent networks (thesis 4.4)."""
+"""Elman networks (thesis 4.4)."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,43 +17,27 @@ def elman(
 
     Elman 1990. inputs: port -> delays, each 0 or more. Raises InputError for a tap that looks ahead.
     """
-    return _recurrent(name, inputs, outputs, hidden, seed, full=False)
-
-
-def frnn(
-    name: str, inputs: Mapping[Port, Sequence[int]], outputs: Sequence[Port], hidden: Sequence[int], seed: int = 0
-) -> Network:
-    """Fully recurrent: every layer, the linear output too, reads the past step of every layer.
-
-    Williams, Zipser 1989, in layers (thesis 4.4). inputs as in `elman`. Raises InputError for a tap that looks ahead.
-    """
-    return _recurrent(name, inputs, outputs, hidden, seed, full=True)
-
-
-def _recurrent(name, inputs, outputs, hidden, seed, full) -> Network:
-    taps = {f"{port.name}_z{d}": (port.name, d, port.size) for port, delays in inputs.items() for d in delays}
-    if not taps or not hidden or any(d < 0 for _, d, _ in taps.values()):
-        raise InputError(f"network {name}: give hidden neurons and taps of inputs from 0 on")
+    last, network = tapped(name, inputs, hidden), Network(name, list(inputs), list(outputs))
     rng = np.random.default_rng(seed)
-    network = Network(name, list(inputs), list(outputs))
-    layers = {f"hidden{depth}": size for depth, size in enumerate(hidden, 1)}
-    if full:
-        layers |= {f"{port.name}_layer": port.size for port in outputs}
-    last = taps
     for depth, size in enumerate(hidden, 1):
         layer = f"hidden{depth}"
-        past = {f"{n}_past": (n, 1, s) for n, s in layers.items() if full or n == layer}
-        _layer(network, rng, layer, last, past, size, "tansig")
+        add_layer(network, rng, layer, last, {f"{layer}_past": (layer, 1, size)}, size, "tansig")
         last = {layer: (layer, 0, size)}
-    past = {f"{n}_past": (n, 1, s) for n, s in layers.items()} if full else {}
     for port in outputs:
-        layer = f"{port.name}_layer"
-        _layer(network, rng, layer, last, past, port.size, "linear", port.rest)
-        network.connect(layer, port.name)
+        add_layer(network, rng, f"{port.name}_layer", last, {}, port.size, "linear", port.rest)
+        network.connect(f"{port.name}_layer", port.name)
     return network.check()
 
 
-def _layer(network, rng, name, reads, past, size, activation, initial=0.0) -> None:
+def tapped(name: str, inputs: Mapping[Port, Sequence[int]], hidden: Sequence[int]) -> dict[str, tuple[str, int, int]]:
+    """Name of each tap -> (its source, its delay, its size)."""
+    taps = {f"{port.name}_z{d}": (port.name, d, port.size) for port, delays in inputs.items() for d in delays}
+    if not taps or not hidden or any(d < 0 for _, d, _ in taps.values()):
+        raise InputError(f"network {name}: give hidden neurons and taps of inputs from 0 on")
+    return taps
+
+
+def add_layer(network, rng, name, reads, past, size, activation, initial=0.0) -> None:
     """Weights that keep the layer's sum of present signals near one, and that of past signals near `MEMORY`."""
     weights: dict[str, np.ndarray] = {}
     for ports, gain in ((reads, 1.0), (past, MEMORY)):
