@@ -12,7 +12,8 @@ from itertools import combinations
 import numpy as np
 
 from greygate.mismatch.effects import SENSOR, Effect, Free
-from greygate.mismatch.fit import HELD, NORMAL, Fit
+from greygate.mismatch.fit import NORMAL, Fit
+from greygate.mismatch.halves import Halves
 from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import TINY, lagged
 from greygate.mismatch.rig import Rig
@@ -29,7 +30,6 @@ SURE = 5.0  # standard deviations of a coefficient, below which its function goe
 WORTH = 0.03  # of the misfit that a further function must remove
 ALIKE = WORTH / 3  # of the misfit, within which two sets of functions are equally good
 NOISE = 0.9  # of the cost that pure noise would have: so much counts as noise, what is above it as misfit
-RIDGE = 1e-6  # of a column's own square, which keeps the normal matrix of columns that are nearly alike regular
 STEEP = 20.0  # of the tanh that stands for a sign: 5 % of the largest value are 76 % of the sign
 CONFIDENCE_DIGITS = 4  # behind the point, of a share in diagnosis.json
 LEAST = 1e-9  # cost, in place of a misfit of 0
@@ -88,57 +88,23 @@ def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basi
     return out
 
 
-@dataclass(frozen=True)
-class _Halves:
-    """Normal matrices and right sides of all columns over alternate stretches, scaled; k come from the base."""
-
-    gram: np.ndarray  # (2, n, n)
-    pull: np.ndarray  # (2, n)
-    k: int
-
-    @classmethod
-    def of(cls, base: Fit, columns: np.ndarray) -> "_Halves":
-        k = len(base.unknowns)
-        both = np.concatenate([base.slopes, columns], axis=2)
-        even = base.likelihood.alternate(HELD)
-        gram, pull = [], []
-        for half in (even, ~even):
-            flat, e = both[half].reshape(-1, both.shape[2]), base.projected[half].reshape(-1)
-            g, p = flat.T @ flat, -(flat.T @ e)
-            g[np.diag_indices(k)] += base.weight / 2
-            p[:k] -= base.weight * base.numbers / 2
-            gram.append(g)
-            pull.append(p)
-        scale = np.sqrt(np.maximum(np.diag(gram[0] + gram[1]), TINY))
-        return cls(np.array(gram) / np.outer(scale, scale), np.array(pull) / scale, k)
-
-    def saved(self, chosen: list[int]) -> float:
-        """Cost that the chosen columns save on the half that their coefficients were not fitted to, both ways."""
-        use = [*range(self.k), *chosen]
-        total = 0.0
-        for learn, judge in ((0, 1), (1, 0)):
-            g = self.gram[learn][np.ix_(use, use)] + RIDGE * np.eye(len(use))
-            step = np.linalg.solve(g, self.pull[learn][use])
-            total += float(2 * self.pull[judge][use] @ step - step @ self.gram[judge][np.ix_(use, use)] @ step)
-        return total
-
-    def subset(self, mine: list[int], total: float) -> tuple[float, list[int]]:
-        """(cost saved, columns): the smallest set of `mine` to which a further function adds little."""
-        plain = self.saved([])
-        gain, chosen = max((self.saved([j]) - plain, [j]) for j in mine)
-        for size in range(2, TERMS + 1):
-            if size == 2:
-                trials = [list(pair) for pair in combinations(mine, 2)]
-            else:
-                trials = [[*chosen, j] for j in mine if j not in chosen]
-            saved = [(self.saved(use) - plain, use) for use in trials]
-            most = max(saved)[0]
-            if not most - gain >= WORTH * total:  # nor where it is no number
-                break
-            # of those nearly as good the ones declared first: plain powers before waves and bumps
-            least = most - ALIKE * max(total, 0.0)
-            gain, chosen = min(((g, use) for g, use in saved if g >= least), key=lambda t: sum(t[1]))
-        return gain, chosen
+def _subset(halves: Halves, mine: list[int], total: float) -> tuple[float, list[int]]:
+    """(cost saved, columns): the smallest set of `mine` to which a further function adds little."""
+    plain = halves.saved([])
+    gain, chosen = max((halves.saved([j]) - plain, [j]) for j in mine)
+    for size in range(2, TERMS + 1):
+        if size == 2:
+            trials = [list(pair) for pair in combinations(mine, 2)]
+        else:
+            trials = [[*chosen, j] for j in mine if j not in chosen]
+        saved = [(halves.saved(use) - plain, use) for use in trials]
+        most = max(saved)[0]
+        if not most - gain >= WORTH * total:  # nor where it is no number
+            break
+        # of those nearly as good the ones declared first: plain powers before waves and bumps
+        least = most - ALIKE * max(total, 0.0)
+        gain, chosen = min(((g, use) for g, use in saved if g >= least), key=lambda t: sum(t[1]))
+    return gain, chosen
 
 
 def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
@@ -214,11 +180,11 @@ class _Unknowns:
 
     def chosen(self) -> tuple[str, list[str], float]:
         """(place, its functions, share of the misfit that they take) where a term removes most."""
-        halves = _Halves.of(self.base, self.columns)
+        halves = Halves.of(self.base, self.columns)
         noise = self.search.final.expected * NOISE / float(np.mean(self.base.temper**2))
         total = float(np.sum(self.base.projected**2)) - (noise + halves.saved([]) if noise else 0.0)
         best = {
-            place: halves.subset([halves.k + j for j, key in enumerate(self.keys) if key[0] == place], total)
+            place: _subset(halves, [halves.k + j for j, key in enumerate(self.keys) if key[0] == place], total)
             for place in dict.fromkeys(place for place, _ in self.keys)
         }
         place, (gain, at) = max(best.items(), key=lambda item: item[1][0] - WORTH * total * len(item[1][1]))

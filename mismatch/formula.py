@@ -15,15 +15,15 @@ from itertools import combinations
 
 import numpy as np
 
-from greygate.mismatch.fit import HELD, NORMAL
+from greygate.mismatch.fit import NORMAL
 from greygate.mismatch.forced import Forced, Place
+from greygate.mismatch.halves import RIDGE, Halves
 from greygate.mismatch.model import TINY
 from greygate.plants.expressions import names
 
 ONE = "1.0"  # the function of no signal
 WORTH = 0.03  # of the misfit, that a further signal or a further term must save
 ALIKE = WORTH / 3  # of the misfit, within which two formulas are equally good
-RIDGE = 1e-6  # of a column's own square: keeps the normal matrix of columns that are nearly alike regular
 BEST = 4  # signals of which pairs are tried
 TERMS = 3  # of a formula, at most
 SHARP = 20.0  # of the tanh that stands for a sign: 5 % of the largest value are 76 % of the sign
@@ -103,32 +103,14 @@ class Judge:
 
     def __init__(self, forced: Forced, columns: dict[str, np.ndarray]):
         base = forced.base
-        self.k, self.at = len(base.unknowns), {key: i for i, key in enumerate(columns)}
-        every = np.concatenate([base.slopes, *(c[:, :, None] for c in columns.values())], axis=2)
-        even = base.likelihood.alternate(HELD)
-        gram, pull = [], []
-        for half in (even, ~even):
-            flat, errors = every[half].reshape(-1, every.shape[2]), base.projected[half].reshape(-1)
-            g, p = flat.T @ flat, -(flat.T @ errors)
-            g[np.diag_indices(self.k)] += base.weight / 2
-            p[: self.k] -= base.weight * base.numbers / 2
-            gram.append(g)
-            pull.append(p)
-        scale = np.sqrt(np.maximum(np.diag(gram[0] + gram[1]), TINY))
-        self._gram, self._pull = np.array(gram) / np.outer(scale, scale), np.array(pull) / scale
-        self.plain = self._saved([])
+        self.at = {key: i for i, key in enumerate(columns)}
+        nothing = np.zeros((*base.projected.shape, 0))
+        self.halves = Halves.of(base, np.concatenate([nothing, *(c[:, :, None] for c in columns.values())], axis=2))
+        self.plain = self.halves.saved([])
 
     def gain(self, keys: Iterable[str]) -> float:
         """The cost that these columns save beyond what the parameters alone do."""
-        return self._saved([self.k + self.at[key] for key in dict.fromkeys(keys)]) - self.plain
-
-    def _saved(self, chosen: list[int]) -> float:
-        use, total = [*range(self.k), *chosen], 0.0
-        for learn, judge in ((0, 1), (1, 0)):
-            gram = self._gram[learn][np.ix_(use, use)] + RIDGE * np.eye(len(use))
-            step = np.linalg.solve(gram, self._pull[learn][use])
-            total += float(2 * self._pull[judge][use] @ step - step @ self._gram[judge][np.ix_(use, use)] @ step)
-        return total
+        return self.halves.saved([self.halves.k + self.at[key] for key in dict.fromkeys(keys)]) - self.plain
 
 
 class Finder:
