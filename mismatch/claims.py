@@ -18,7 +18,7 @@ import numpy as np
 
 from greygate.mismatch.blocks import MORE, Judge, Loss
 from greygate.mismatch.coloured import Coloured
-from greygate.mismatch.effects import Effect
+from greygate.mismatch.effects import GENERAL, Effect
 from greygate.mismatch.evidence import Evidence, borne_out, evidence
 from greygate.mismatch.excitation import SEEN, unexcited
 from greygate.mismatch.fit import Fit, Likelihood
@@ -36,7 +36,6 @@ OWN = 0.1  # or of what the others leave of it
 HERTZ = "Hz"
 ON_BOUND = 1e-6  # relative distance from a bound within which a value lies on it
 REFIT = 6  # iterations of a fit to the run itself, which begins near
-WORST = 3  # losses that are named in a refusal
 
 
 @dataclass
@@ -74,7 +73,7 @@ def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
             out[key] = why
         elif slight := [f.symbol for f in effect.free if f.least and _within(fit, f.symbol)[1] < f.least]:
             out[key] = f"{effect.means}, but by {fit.values[slight[0]]:.2g} of that alone: some other curve"
-        elif not possible(search, Hypothesis((key,)), fit):
+        elif effect.table == str(GENERAL) and not possible(search, Hypothesis((key,)), fit):
             out[key] = "at the size that fits, it is as large as it can be at all: something else"
         elif not _influence(effect, fit) > SEEN:
             out[key] = "at the size that fits, it changes nothing that the sensors show"

@@ -268,7 +268,10 @@ def _reduced(state: State, less: Hypothesis, why: str) -> State:
 
 
 def _confident(state: State) -> State:
-    """No name stands of which the diagnosis is less sure than of all else: of it, or of another in its place."""
+    """No name stands of which the diagnosis is less sure than of all else: of it, or of another in its place.
+
+    Except one beside which alone surer ones are borne out: something is there, whatever it is called.
+    """
     while state.found.best.effects and state.verdict != Verdict.UNEXPLAINED:
         sure = _diagnosis(state).placed
         key = min(sure, key=lambda key: sure[key])
@@ -276,7 +279,10 @@ def _confident(state: State) -> State:
             break
         name = named(state.search, key)
         why = f"{name} is not claimed: it came nearest, with a confidence of {sure[key]:.2g}"
-        state = _claimed(_reduced(state, state.found.best.without(key), why))
+        less = _claimed(_reduced(state, state.found.best.without(key), why))
+        if less.verdict == Verdict.UNEXPLAINED and max(sure.values()) >= LEAST_SURE:
+            break
+        state = less
     return state
 
 

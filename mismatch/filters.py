@@ -9,8 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter, lfiltic
 
-NYQUIST = np.pi  # rad a sample: a resonance above is none
-SHORTEST = 2.0  # samples of a period: likewise
+SHORTEST = 2.0  # samples of a period: a resonance above is none
 
 
 def saturated(signal: np.ndarray, share: float, level: float, dt: float) -> np.ndarray:

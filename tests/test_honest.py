@@ -76,6 +76,19 @@ def test_a_name_that_something_else_outweighs_is_not_claimed(slipping, monkeypat
     assert "speed_slip is not claimed: it came nearest, with a confidence of 0.49" in found.refused
 
 
+@pytest.mark.parametrize(("without", "left"), [(Verdict.UNEXPLAINED, ("a", "b")), (Verdict.PARTLY_EXPLAINED, ("a",))])
+def test_a_name_beside_which_alone_a_surer_one_is_borne_out_stays(monkeypatch, without, left):
+    def state(effects, verdict):
+        search = SimpleNamespace(effects={name: SimpleNamespace(id=name) for name in "ab"})
+        return SimpleNamespace(search=search, found=SimpleNamespace(best=Hypothesis(effects)), verdict=verdict)
+
+    sure = {("a", "b"): {"a": 0.9, "b": 0.4}, ("a",): {"a": 0.9}}
+    monkeypatch.setattr(finding, "_diagnosis", lambda s: SimpleNamespace(placed=sure[s.found.best.effects]))
+    monkeypatch.setattr(finding, "_reduced", lambda s, less, why: state(less.effects, without))
+    monkeypatch.setattr(finding, "_claimed", lambda s: s)
+    assert finding._confident(state(("a", "b"), Verdict.PARTLY_EXPLAINED)).found.best.effects == left
+
+
 @pytest.mark.parametrize(("times", "said"), [(1.0, False), (1.05, False), (1.8, True)])
 def test_what_holds_only_where_it_was_learnt_is_not_consistent(steady, monkeypatch, times, said):
     _, plain = steady
