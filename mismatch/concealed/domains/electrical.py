@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from ..rig import Sensor, fields, nothing
-from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
+from .integrate import FINE, Ways, acting, domain, hidden, integrate, kept, sensor, steps
 
 HOLD = (10, 80)  # samples between steps
 LEAST = 1e-3  # the resolution of the input
@@ -30,10 +30,15 @@ def slopes(s, u, t, p, e, d):
     d[1] = (across - e.g_leak * second - e.g_diode * max(second - e.v_on, 0.0)) / p.c_2
 
 
+@kept
+def integrated(inputs, begin, dt, p, e):
+    return integrate(slopes, inputs, begin, dt, p, e)
+
+
 def run(volts, dt, parameters, extra):
     e = Effects(**extra)
     fine = acting(volts, dt, Ways(offset=e.offset, lag=e.lag))
-    states = integrate(slopes, fine[:, None], np.zeros(2), dt / FINE, Electrical(**parameters), e)
+    states = integrated(fine[:, None], np.zeros(2), dt / FINE, Electrical(**parameters), e)
     first, second = states[:-1:FINE].T
     return {"v_1": first, "v_2": np.minimum(second, e.top) if e.top else second}
 

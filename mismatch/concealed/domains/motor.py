@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from ..rig import Sensor, fields, nothing
-from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
+from .integrate import FINE, Ways, acting, domain, hidden, integrate, kept, sensor, steps
 
 HOLD = (20, 150)  # samples between steps
 LEAST = 1e-3  # the resolution of the input
@@ -36,10 +36,15 @@ def slopes(s, u, t, p, e, d):
     d[1] = (k * current - p.viscous * speed - friction - e.c_square * speed * abs(speed) - e.load) / p.inertia
 
 
+@kept
+def integrated(inputs, begin, dt, p, e):
+    return integrate(slopes, inputs, begin, dt, p, e)
+
+
 def run(volts, dt, parameters, extra):
     e = Effects(**extra)
     fine = acting(volts, dt, Ways(dead=e.dead, delay=e.delay))
-    states = integrate(slopes, fine[:, None], np.zeros(2), dt / FINE, Motor(**parameters), e)
+    states = integrated(fine[:, None], np.zeros(2), dt / FINE, Motor(**parameters), e)
     return {"omega": states[:-1:FINE, 1]}
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from ..rig import Sensor, fields, nothing
-from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
+from .integrate import FINE, Ways, acting, domain, hidden, integrate, kept, sensor, steps
 
 NEAR = 0.1  # rad within which the magnet pulls
 HOLD = (20, 120)  # samples between steps
@@ -40,10 +40,15 @@ def slopes(s, u, t, p, e, d):
     d[1] = (u[0] - p.weight * np.sin(angle) - p.viscous * speed - friction - e.load - pulled) / p.inertia
 
 
+@kept
+def integrated(inputs, begin, dt, p, e):
+    return integrate(slopes, inputs, begin, dt, p, e)
+
+
 def run(torque, dt, parameters, extra):
     e = Effects(**extra)
     fine = acting(torque, dt, Ways(dead=e.dead))
-    states = integrate(slopes, fine[:, None], np.zeros(2), dt / FINE, Pendulum(**parameters), e)
+    states = integrated(fine[:, None], np.zeros(2), dt / FINE, Pendulum(**parameters), e)
     return {"theta": states[:-1:FINE, 0]}
 
 

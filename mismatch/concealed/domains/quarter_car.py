@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from ..rig import Sensor, fields, nothing
-from .integrate import FINE, Ways, acting, domain, hidden, integrate, lagging, sensor, smooth
+from .integrate import FINE, Ways, acting, domain, hidden, integrate, kept, lagging, sensor, smooth
 
 STATES = 4
 LEAST = 1e-5  # the resolution of the input
@@ -35,10 +35,15 @@ def slopes(s, u, t, p, e, d):
     d[3] = (strut + p.k_tyre * (u[0] - wheel)) / p.m_wheel
 
 
+@kept
+def integrated(inputs, begin, dt, p, e):
+    return integrate(slopes, inputs, begin, dt, p, e)
+
+
 def run(road, dt, parameters, extra):
     e = Effects(**extra)
     fine = acting(road, dt, Ways())
-    states = integrate(slopes, fine[:, None], np.zeros(STATES), dt / FINE, QuarterCar(**parameters), e)[:-1]
+    states = integrated(fine[:, None], np.zeros(STATES), dt / FINE, QuarterCar(**parameters), e)[:-1]
     return {"z_body": lagging(states[:, 0], dt / FINE, e.lag)[::FINE], "z_wheel": states[::FINE, 2]}
 
 

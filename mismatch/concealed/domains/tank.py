@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from ..rig import Sensor, fields, nothing
-from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
+from .integrate import FINE, Ways, acting, domain, hidden, integrate, kept, sensor, steps
 
 HOLD = (20, 200)  # samples between steps
 LEAST = 1e-7  # the resolution of the input
@@ -36,11 +36,16 @@ def slopes(s, u, t, p, e, d):
     d[1] = (between - out) / p.area_2
 
 
+@kept
+def integrated(inputs, begin, dt, p, e):
+    return integrate(slopes, inputs, begin, dt, p, e)
+
+
 def run(inflow, dt, parameters, extra):
     e = Effects(**extra)
     fine = acting(inflow, dt, Ways(lag=e.lag, delay=e.delay))
     begin = np.array([UPPER, LOWER])
-    states = integrate(slopes, fine[:, None], begin, dt / FINE, Tank(**parameters), e)
+    states = integrated(fine[:, None], begin, dt / FINE, Tank(**parameters), e)
     upper, lower = np.maximum(states[:-1:FINE], 0.0).T
     return {"h_1": upper + e.zero, "h_2": lower}
 

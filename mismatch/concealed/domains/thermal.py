@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from ..rig import Sensor, fields, nothing
-from .integrate import FINE, Ways, acting, domain, hidden, integrate, lagging, sensor, steps
+from .integrate import FINE, Ways, acting, domain, hidden, integrate, kept, lagging, sensor, steps
 
 HOLD = (20, 150)  # samples between steps
 LEAST = 0.1  # the resolution of the input
@@ -35,10 +35,15 @@ def slopes(s, u, t, p, e, d):
     d[1] = (across - p.g_loss * (jacket - ROOM) - radiated) / p.c_jacket
 
 
+@kept
+def integrated(inputs, begin, dt, p, e):
+    return integrate(slopes, inputs, begin, dt, p, e)
+
+
 def run(watts, dt, parameters, extra):
     e = Effects(**extra)
     fine = acting(watts, dt, Ways(delay=e.delay))
-    states = integrate(slopes, fine[:, None], np.full(2, ROOM), dt / FINE, Thermal(**parameters), e)
+    states = integrated(fine[:, None], np.full(2, ROOM), dt / FINE, Thermal(**parameters), e)
     block, jacket = states[:-1].T
     return {"t_block": block[::FINE] + e.zero, "t_jacket": lagging(jacket, dt / FINE, e.lag)[::FINE]}
 
