@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import scipy.io
 from networks import delay_line
+from workers import killed, killed_always
 
 from greygate import children
 from greygate.errors import InputError
@@ -65,7 +66,8 @@ def called(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
 )
 def test_a_strangers_folder_runs_nothing(words, given, strange):
     if words == "verify built":
-        built = called(strange, "compile", given / "line.toml", given / "a.csv", "--out", "built")
+        made = f"compile {given}/line.toml {given}/a.csv --architecture parallel --out built"
+        built = called(strange, *made.split())
         assert built.returncode == 0, built.stderr
     done = called(strange, *words.format(given=given).split())
     assert done.returncode in (0, 1) or "was finished in time" in done.stderr, done.stderr
@@ -112,21 +114,13 @@ import sys, time
 from functools import partial
 sys.path.insert(0, {tests!r})
 from greygate import children
-from test_children import slept
+from workers import slept
 match {how!r}:
     case "command":
         children.ran(["sh", "-c", "sleep 600 & echo $! $$ >> {file}; wait"])
     case "workers":
         list(children.workers(2, [partial(slept, {file!r})] * 2))
 """
-
-
-def slept(file: str) -> None:
-    """Start something, tell who is there, and go on for long."""
-    with children.started(["sleep", "600"]) as process, open(file, "a") as out:
-        out.write(f"{os.getpid()} {process.pid}\n")
-        out.flush()
-        time.sleep(600)
 
 
 @pytest.mark.parametrize(("how", "count"), [("command", 2), ("workers", 4)])
@@ -159,19 +153,10 @@ def test_a_program_that_is_not_there_is_an_error_of_the_caller():
         children.ran(["no-such-program"])
 
 
-def _killed(folder: Path, place: int, times: int) -> int:
-    """Return the place; the process of place 1 is killed so many times before."""
-    tried = folder / str(time.monotonic_ns())
-    if place == 1 and len(list(folder.iterdir())) < times:
-        tried.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return place
-
-
 @pytest.mark.parametrize(("times", "result"), [(1, 1), (2, children.DIED)])
 @pytest.mark.parametrize("in_order", [True, False])
 def test_a_task_whose_process_is_killed_is_tried_once_more_and_the_others_go_on(times, result, in_order, tmp_path):
-    tasks = [partial(_killed, tmp_path, place, times) for place in range(4)]
+    tasks = [partial(killed, tmp_path, place, times) for place in range(4)]
     found = list(children.workers(2, tasks, in_order))
     assert found == [0, result, 2, 3] if in_order else set(found) == {0, result, 2, 3}
 
@@ -202,8 +187,4 @@ def test_a_search_whose_process_dies_twice_says_so(monkeypatch):
     from greygate.hardware.exploring import side_by_side
 
     with pytest.raises(InputError, match="killed twice"):
-        list(side_by_side(2)(_killed_always, [1, 2]))
-
-
-def _killed_always(_: int) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
+        list(side_by_side(2)(killed_always, [1, 2]))

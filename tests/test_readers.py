@@ -228,11 +228,11 @@ def test_two_clocks_are_told_apart_or_refused():
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", [n for n in FORMATS if ".csv" not in n])
-def test_a_damaged_file_is_refused_in_one_line(name, tmp_path):
+@pytest.mark.parametrize("mutants", [4, pytest.param(60, marks=pytest.mark.nightly)])  # a third of a second for each
+def test_a_damaged_file_is_refused_in_one_line(name, mutants, tmp_path):
     FORMATS[name](tmp_path / name)
     whole, rng, lines = (tmp_path / name).read_bytes(), np.random.default_rng(1), set()
-    apart = name.endswith((".mat", ".h5", ".mf4"))  # read in another process, which takes its time
-    for _ in range(4 if apart else 60):
+    for _ in range(mutants):
         data = bytearray(whole)
         for at in rng.integers(0, len(data), 1 + int(rng.integers(8))):
             data[at] = int(rng.integers(256))

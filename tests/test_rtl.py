@@ -118,14 +118,15 @@ def ring(name):
     return program(name, [u], [total], states, outputs=[y, c, u])
 
 
-def test_hardware_equals_the_interpreter_on_random_programs_and_on_tables_worked_by_hand(tmp_path):
-    cases = []
+@pytest.mark.parametrize("every", [2, pytest.param(1, marks=pytest.mark.nightly)])
+def test_hardware_equals_the_interpreter_on_random_programs_and_on_tables_worked_by_hand(every, tmp_path):
+    cases, seeds, legal_seeds = [], SEEDS[::every], LEGAL_SEEDS[::every]
     for architecture in ARCHITECTURES:
-        for seed in SEEDS:  # printed with a mismatch, as the name of the program
+        for seed in seeds:  # printed with a mismatch, as the name of the program
             p = random_program(seed)
             named = replace(p, name=f"{p.name}_{architecture}")
             cases.append(Case(named, {"random": scenario(p, seed)}, architecture, Design(multipliers=1 + seed % 5)))
-        for seed in LEGAL_SEEDS:
+        for seed in legal_seeds:
             p = legal_program(seed, f"legal{seed}_{architecture}")
             cases.append(
                 Case(
@@ -147,7 +148,7 @@ def test_hardware_equals_the_interpreter_on_random_programs_and_on_tables_worked
     assert [v for v in result.verdicts if v.mismatch] == []
     assert result.passed
     suites = ElementTree.parse(result.junit).getroot()
-    assert len(list(suites.iter("testcase"))) == len(result.verdicts) == 2 * (len(SEEDS) + len(LEGAL_SEEDS) + 3)
+    assert len(list(suites.iter("testcase"))) == len(result.verdicts) == 2 * (len(seeds) + len(legal_seeds) + 3)
 
 
 def test_a_broken_design_is_reported_with_step_signal_and_both_values(tmp_path, monkeypatch, capsys):
