@@ -34,7 +34,10 @@ CASES: dict[str, dict[str, tuple[str, ...]]] = {  # plant -> effect -> kinds of 
     "tank": {"leak": ("linear", "root"), "weir": (BENT,), "clogging": ("linear", "product")},
     "quarter_car": {"dry_friction": (SIGN,), "hardening_spring": (ODD,), "bump_stop": (BENT,)},
 }
-ALIAS = {"pendulum": {"v": "omega"}}  # what a generator calls a variable in its answer
+SAME = {  # plant -> variables of a generator's answer -> what the plant's file calls them
+    "pendulum": {"v": "omega"},
+    "quarter_car": {"v z_body z_wheel": "v_body v_wheel"},
+}
 
 
 def case(plant: str, effect: str, seed: int, folder: Path) -> dict:
@@ -47,7 +50,8 @@ def case(plant: str, effect: str, seed: int, folder: Path) -> dict:
     seconds = watch()
     entry = next((e for e in result["effects"] if e["id"] == "unknown"), None)
     where = result["where"][0] if result["where"] else {"equation": "", "depends_on": []}
-    truth = {ALIAS.get(plant, {}).get(v, v) for v in answer["depends_on"]}
+    variables = " ".join(sorted(answer["depends_on"]))
+    truth = set(SAME.get(plant, {}).get(variables, variables).split())
     terms = entry["parameters"].items() if entry else ()
     kinds = {name.removeprefix(f"unknown_{p['place']}_").split("_")[0] for name, p in terms}
     held = result["fit"]["holdout"]

@@ -23,6 +23,7 @@ from greygate.plants.expressions import names
 
 ONE = "1.0"  # the function of no signal
 WORTH = 0.03  # of the misfit, that a further signal or a further term must save
+LEAST = 0.01  # of the cost of the noise, that a misfit must have
 ALIKE = WORTH / 3  # of the misfit, within which two formulas are equally good
 BEST = 4  # signals of which pairs are tried
 TERMS = 3  # of a formula, at most
@@ -130,7 +131,7 @@ class Finder:
 
     def found(self) -> Formula | None:
         """The formula; None where there is no misfit, or no signal explains any."""
-        if not self.misfit > WORTH * self.forced.expected:
+        if not self.misfit > LEAST * self.forced.expected:
             return None
         place, variables = self._where()
         formula = self._written(place, self._pool(variables))
@@ -216,6 +217,7 @@ class Finder:
         levels = [low + level * (high - low) for level in LEVELS]
         sided = f"(max({inside}, KNEE) - KNEE)", f"(min({inside}, KNEE) - KNEE)"
         step = (high - low) / len(levels)
+        found += [Shape((f"({inside} - KNEE)",), "linear", 2, end, step) for end in (low, high)]
         found += [Shape((form,), "threshold", 3, level, step) for form in sided for level in levels]
         return found + self._waves(v)
 
