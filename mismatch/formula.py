@@ -204,7 +204,7 @@ class Finder:
     def _shapes(self, v: str) -> list[Shape]:
         """The functions of one signal."""
         low, high = self._ends(v)
-        most, inside = max(-low, high), v.removeprefix("(").removesuffix(")")
+        most, inside = max(-low, high), _bare(v)
         found = [Shape((v,), "linear", 1), Shape((f"{v}**2",), "even", 2), Shape((f"{v}**3",), "odd", 3)]
         if low < 0 < high:
             found += [Shape((f"abs({inside})",), "even", 2), Shape((f"{v} * abs({inside})",), "odd", 2)]
@@ -277,7 +277,7 @@ class Finder:
         The plant's parameters are as the formula has them: what they could take as well is not in the band.
         """
         used = {*formula.depends_on}
-        signals = [v for v in self.forced.places[formula.place] if names([v]) == used and v in formula.texts[-1]]
+        signals = [v for v in self.forced.places[formula.place] if names([v]) == used and _bare(v) in formula.texts[-1]]
         if len(signals) != 1:
             return None
         (v,), forced, base = signals, self.forced, self.forced.base
@@ -316,3 +316,8 @@ class Finder:
             scale, scale
         )
         return covariance @ right, covariance
+
+
+def _bare(signal: str) -> str:
+    """A signal as it stands alone in the brackets of a function."""
+    return signal.removeprefix("(").removesuffix(")")

@@ -23,6 +23,7 @@ from greygate.pages.figures import Curve, Scale
 from greygate.pages.units import labelled, number
 from greygate.pages.zoomable import DRAWN, Trace, curves
 from greygate.plants import units
+from greygate.plants.expressions import names
 
 BETTER = 0.98  # ratio of RMS errors below which a correction counts as an improvement
 
@@ -51,7 +52,10 @@ def facts(case: Diagnosed) -> list[tuple[str, str, bool | None]]:
             name, p = next(iter(entry["parameters"].items()))
             known = amount(p["value"], p["ci95"], p["unit"])
             size = f", {name} {known.value} {known.unit}"
-        lines.append((entry["id"], f"{means(case.result, entry)}{size}", None))
+        if entry["id"] == "unknown" and "formula" in found["where"][0]:
+            lines.append(("a formula", found["where"][0]["formula"], None))
+        else:
+            lines.append((entry["id"], f"{means(case.result, entry)}{size}", None))
     if "explained" in found:
         lines.append((f"{found['explained']:.0%}", "of the squared error that can be removed, by what is named", None))
     for name, p in found["parameters"].items():
@@ -168,7 +172,7 @@ def where(case: Diagnosed) -> dict:
         "where": words.where(case.found),
         "windowed": case.result.rig.window is not None,
         "changed": case.changed,
-        "missing": [missing(case, place) for place in case.found["where"] if "curve" in place],
+        "missing": [missing(case, place) for place in case.found["where"][:1] if "curve" in place],
         "against": against(before, after, case.depends_on),
     }
 
@@ -176,7 +180,8 @@ def where(case: Diagnosed) -> dict:
 def missing(case: Diagnosed, place: Mapping) -> dict:
     """The term that is missing over the signal on which it depends: as a curve with its band, beside the formula."""
     curve, plant = place["curve"], case.result.rig.plant
-    unit = plant.unit(curve["of"]) if curve["of"] in plant.symbols else "s"
+    one = min(names([curve["of"]]))  # of a difference all have the same unit
+    unit = plant.unit(one) if one in plant.symbols else "s"
     scale, label = display_unit(unit, max(map(abs, curve["at"])))
     x = [scale * at for at in curve["at"]]
     band = Curve([*x, *x[::-1]], [*curve["low"], *curve["high"][::-1]], "quartiles")
