@@ -1,6 +1,8 @@
 """How long work tells where it is: a callable that takes one line of text."""
 
+import math
 import sys
+import time
 from collections.abc import Callable
 
 Progress = Callable[[str], None]
@@ -8,6 +10,21 @@ Progress = Callable[[str], None]
 
 def silent(line: str) -> None:
     """Say nothing: the default of every `progress`."""
+
+
+class Budget:
+    """The time that work may take: what is `over` ends with the best that it has."""
+
+    def __init__(self, seconds: float = math.inf):
+        self.ends = time.monotonic() + seconds
+
+    @property
+    def over(self) -> bool:
+        return time.monotonic() > self.ends
+
+    def stop(self) -> None:
+        """The time is over now."""
+        self.ends = -math.inf
 
 
 _SAID: set[str] = set()

@@ -116,6 +116,8 @@ class ColouredSelection(Selection):
         found = []
         for score in ranked:
             hypothesis = best.plus(score.hypothesis)
+            if self.search.skips(hypothesis):
+                continue
             fit = self.fitted(current, hypothesis, score.values)
             if not np.isfinite(fit.cost):
                 continue
@@ -143,7 +145,7 @@ class ColouredSelection(Selection):
                 hypothesis = less.plus(score.hypothesis)
                 if not score.hypothesis.effects or set(hypothesis.effects) == set(best.effects):
                     continue
-                if hypothesis in self.fits:
+                if hypothesis in self.fits or self.search.skips(hypothesis):
                     continue
                 other = self.fits[hypothesis] = self.fitted(without, hypothesis, score.values)
                 if other.cost + _price(other, current) < current.cost:

@@ -31,7 +31,7 @@ from greygate.mismatch.selection import PART, Found, Selection, shown_noise
 from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.recording import run_name
-from greygate.progress import Progress, silent
+from greygate.progress import Budget, Progress, silent
 
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
@@ -43,10 +43,16 @@ BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
-def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Progress = silent) -> Diagnosis:
+def diagnose(
+    rig: Rig,
+    effects: Mapping[str, Effect] | None = None,
+    progress: Progress = silent,
+    budget: Budget | None = None,
+) -> Diagnosis:
     """Explain the recording `rig.folder`/identify.csv; holdout.csv serves for the report alone.
 
-    effects: those to be tried, by key; by default all that are known for the rig. Raises InputError where a recording
+    effects: those to be tried, by key; by default all that are known for the rig. budget: when it is over, no further
+    hypothesis is fitted, and the diagnosis names those that were left out. Raises InputError where a recording
     or the table of effects cannot serve.
 
     >>> force = 60.0 * np.repeat(np.random.default_rng(2).standard_normal(30), 40)
@@ -64,6 +70,7 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     effects = table.known(rig, recording) if effects is None else effects
     progress("compiling the plant")
     search = Search(rig, recording, effects)
+    search.budget = budget or search.budget
     search.effects, not_shown = excited(search.final.model, search.effects)
     offered = {effect.id for effect in search.effects.values()}
     not_shown |= {name: why for name, why in table.unmet(rig, recording).items() if name not in offered}

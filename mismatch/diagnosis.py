@@ -91,6 +91,7 @@ class Diagnosis:
                 **({"recordings": own} if (own := self._recordings()) else {}),
                 **({"explained": round(self.explained, DIGITS)} if self.verdict == Verdict.PARTLY_EXPLAINED else {}),
                 **({"refused": self.refused} if self.refused else {}),
+                **({"not_tried": [*self.search.untried]} if self.search.untried else {}),
                 **({"units": clashing} if (clashing := clashes(self.rig.plant)) else {}),
                 **({"not_larger_than": self.not_larger_than} if self.not_larger_than else {}),
                 **({"noise": self._noise(self.noise)} if self.noise else {}),

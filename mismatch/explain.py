@@ -29,7 +29,7 @@ from greygate.mismatch.search import Search
 from greygate.mismatch.simulation import asked, read, simulate
 from greygate.models import accuracy
 from greygate.plants.recording import Recording
-from greygate.progress import Progress, silent
+from greygate.progress import Budget, Progress, silent
 
 PER_CENT = 100.0
 Page = Callable[[Diagnosis], str]
@@ -55,16 +55,18 @@ def explain(
     own: Sequence[Path] = (),
     progress: Progress = silent,
     page: Page | None = None,
+    budget: Budget | None = None,
 ) -> tuple[dict, list[str]]:
     """Diagnose the rig in `folder`, write the files asked for, and return (content of diagnosis.json, lines to print).
 
-    own: files of effects to try besides greygate's. page: what makes the page; needed where `html` is given.
+    own: files of effects to try besides greygate's. page: what makes the page; needed where `html` is given. budget: as
+    for `diagnose`.
     Raises InputError, before anything is written, for a rig, recording or table that cannot be used.
     """
     for path in (out, html):
         if path is not None and not path.absolute().parent.is_dir():
             raise InputError(f"{path.parent}: no such folder; make it, or write elsewhere")
-    made = Explained.of(folder, page if html else None, own, progress)
+    made = Explained.of(folder, page if html else None, own, progress, budget)
     made.write(out, html)
     return made.found, made.lines
 
@@ -77,13 +79,14 @@ def explain_all(
     jobs: int | None = None,
     progress: Progress = silent,
     page: Page | None = None,
+    seconds: float = math.inf,
 ) -> dict[str, tuple[dict, list[str]]]:
     """`explain` for several rigs: name of the folder -> (content of diagnosis.json, lines to print).
 
     out, html: a file for one rig; for several a folder, which gets NAME.json or NAME.html as soon as it is found.
-    jobs: rigs at a time. They run on joblib's backend: `with joblib.parallel_config(backend="dask")` sends them to a
-    cluster, whose workers read the rigs at the same paths. progress: gets the number of rigs that are done, and the
-    name of the last one.
+    seconds: for each rig. jobs: rigs at a time. They run on joblib's backend:
+    `with joblib.parallel_config(backend="dask")` sends them to a cluster, whose workers read the rigs at the same
+    paths. progress: gets the number of rigs that are done, and the name of the last one.
 
     If one of several rigs cannot be diagnosed, or its process is killed twice, the others go on: its content is
     {"error": line}, and its lines say so. Raises InputError for two rigs of one name, for a missing folder to
@@ -96,7 +99,7 @@ def explain_all(
     for path in (out, html) if several else ():
         if path is not None and not path.is_dir():
             raise InputError(f"{path}: no such folder; of several rigs --out and --html name folders, make it")
-    tasks = [partial(_attempt, folder, page if html else None, own) for folder in folders]
+    tasks = [partial(_attempt, folder, page if html else None, own, seconds) for folder in folders]
     results = {}
     for name, made in zip(names, children.workers(jobs, tasks), strict=True):
         try:
@@ -114,10 +117,10 @@ def explain_all(
     return results
 
 
-def _attempt(folder: Path, page: Page | None, own: Sequence[Path]) -> "Explained | InputError":
+def _attempt(folder: Path, page: Page | None, own: Sequence[Path], seconds: float) -> "Explained | InputError":
     """Return the InputError of a rig like a result, so that the other rigs go on."""
     try:
-        return Explained.of(folder, page, own)
+        return Explained.of(folder, page, own, budget=Budget(seconds))
     except InputError as error:
         return error
 
@@ -133,7 +136,12 @@ class Explained:
     @classmethod
     @np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
     def of(
-        cls, folder: Path, page: Page | None = None, own: Sequence[Path] = (), progress: Progress = silent
+        cls,
+        folder: Path,
+        page: Page | None = None,
+        own: Sequence[Path] = (),
+        progress: Progress = silent,
+        budget: Budget | None = None,
     ) -> "Explained":
         rig = _uncertain(folder)
         recording = rig.to_explain()
@@ -141,7 +149,7 @@ class Explained:
         effects = table_of(own, rig, recording)
         check(rig, recording, effects)
         try:
-            result = diagnose(rig, effects, progress)
+            result = diagnose(rig, effects, progress, budget)
         except np.linalg.LinAlgError as error:
             raise InputError(
                 f"{folder}: the fit fails numerically ({error}); check the values and units in rig.toml, "

@@ -106,6 +106,7 @@ class Diagnosed(TypedDict):
     explained: NotRequired[Figure]
     refused: NotRequired[list[str]]
     units: NotRequired[list[str]]
+    not_tried: NotRequired[Annotated[list[str], "Hypotheses for which there was no time."]]
     not_larger_than: NotRequired[list[RuledOut]]
     noise: NotRequired[dict[str, Noisy]]
 

@@ -23,6 +23,7 @@ from greygate.mismatch.scales import memory, span
 from greygate.mismatch.several import modelled
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
+from greygate.progress import Budget
 
 SHORT, SHORT_SHARES = 40, (0.1, 2.0)  # samples of a window in the screen; of the memory of the fastest channel
 LONG_WINDOW, LONG_SHARES = 100, (0.25, 5.0)  # in the final fit: two integrators' errors stay below the noise so far
@@ -122,6 +123,7 @@ class Search:
             free_run = Likelihood if rig.stated else Coloured
             self.final = self.screen = free_run(modelled(rig, recording, self.effects))
         self.within = WITHIN
+        self.budget, self.untried = Budget(), dict[str, None]()  # what there was no time for
         self.between = False  # whether inputs moved between the samples
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
         if noise is not None:
@@ -135,6 +137,12 @@ class Search:
         """This search with another noise; fits of the one before are no longer comparable."""
         self.final.noise = self.screen.noise = noise
         return self
+
+    def skips(self, hypothesis: Hypothesis) -> bool:
+        """Whether there is no time left for a hypothesis; it is noted."""
+        if self.budget.over:
+            self.untried[str(hypothesis)] = None
+        return self.budget.over
 
     # -- unknowns ----------------------------------------------------------------------------------------------------
 

@@ -307,6 +307,8 @@ class Selection:
             if tried == EXCHANGED:
                 self.unfitted |= {hypothesis} if score.gain >= near else set()
                 continue
+            if self.search.skips(hypothesis):
+                continue
             tried += 1
             self.swapped.add(names)
             values = {**without.values, **score.values}
@@ -325,6 +327,8 @@ class Selection:
             most = ranked[0][0].gain
             if found and forms[0].gain < FAR * most and complete(min(found, key=_cost)[1]):
                 break  # one explains everything, and this one promises little
+            if self.search.skips(best.plus(forms[0].hypothesis)):
+                continue
             for score in forms:
                 hypothesis = best.plus(score.hypothesis)
                 rival = min(map(_cost, found), default=np.inf)
@@ -373,7 +377,7 @@ class Selection:
         They are of two effects, or of an effect and a parameter that is outside its tolerance.
         """
         for score in self.search.pairs(self.likelihood, start, LATER):
-            if score.hypothesis in self.costs:
+            if score.hypothesis in self.costs or self.search.skips(score.hypothesis):
                 continue
             values = {**start.values, **score.values}
             fit, allowed = self.fit(score.hypothesis, values, start.shifts, rival=current.cost)

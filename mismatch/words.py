@@ -21,6 +21,7 @@ EXPERIMENTS = {
 """Variable -> the experiment in which it alone changes, for the variables of any motion; plants add their own."""
 
 DIVERGES = "diverges"  # in place of the error of a simulation that does not stay finite
+FEW = 5  # hypotheses that are named of those for which there was no time
 SIMULATED = 3  # number of alternatives for which simulation finds an experiment
 
 
@@ -98,6 +99,8 @@ def lines(result: Diagnosis) -> list[str]:
         out.append(
             row("" if i else "units", f"{text}: correct the units, or do not trust those of what is found there")
         )
+    if untried := found.get("not_tried"):
+        out.append(row("not tried", f"{len(untried)} hypotheses, for want of time: {', '.join(untried[:FEW])}"))
     for i, text in enumerate(bounds(found)):
         out.append(row("" if i else "not there", text))
     for i, text in enumerate(hidden(result)):

@@ -1,8 +1,11 @@
 """A formula for what has no name: hidden terms of a motor come back in their place, on their variable, as they were."""
 
+import signal
+
 import numpy as np
 import pytest
 
+from greygate.cli.terminal import ended_early
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import read
@@ -15,6 +18,7 @@ from greygate.mismatch.words import lines
 from greygate.pages.diagnosis import page
 from greygate.plants.plant import Plant
 from greygate.plants.simulator import simulate
+from greygate.progress import Budget
 
 MOTOR = """
 step = 1e-3
@@ -166,3 +170,22 @@ def test_a_run_that_begins_elsewhere_than_the_plant_says_begins_as_recorded(tmp_
     assert (first.begins, second.begins) == ([], ["x", "v"])
     predicted, counts = by_rule(second, {}, skip=20)
     assert np.abs(predicted - second.target)[counts].max() < 1e-3 * np.ptp(x)
+
+
+def test_when_the_time_is_over_the_best_so_far_is_said_and_what_was_not_tried(hidden, greygate):
+    rig = hidden("rotor", "-0.004 * max(i - 1.5, 0)")
+    found = diagnose(rig, budget=Budget(0.0)).as_dict()
+    assert (found["verdict"], len(found["not_tried"]) > 2) == ("unexplained", True)
+    assert "(max(i, 1.5" in found["where"][0]["formula"]  # for which there is always time
+    code, out, _ = greygate("diagnose", rig.folder, "--seconds", "1e-9")
+    assert (code, "not tried" in out) == (0, True)
+
+
+def test_the_first_interrupt_ends_the_budget_and_the_second_the_command(capsys):
+    with ended_early(Budget()) as budget:
+        assert not budget.over
+        signal.raise_signal(signal.SIGINT)
+        assert budget.over
+        assert "ending with what was found" in capsys.readouterr().err
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)

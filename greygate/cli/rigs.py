@@ -8,8 +8,9 @@ import typer
 
 from greygate.cli import options, words
 from greygate.cli.backends import Backend, OnBackend, Scheduler, joblib_on
-from greygate.cli.terminal import Json, finite, following, give, say
+from greygate.cli.terminal import Json, ended_early, finite, following, give, say
 from greygate.errors import InputError
+from greygate.progress import Budget
 
 if TYPE_CHECKING:
     from greygate.cli.printed import Concealing, Simulating
@@ -30,6 +31,9 @@ def diagnose(
     accept: Annotated[
         bool, typer.Option("--accept", help="Put the formula for what has no name into RIG/effects.toml.")
     ] = False,
+    seconds: Annotated[
+        float, typer.Option(callback=options.SECONDS, help="After so many no further hypothesis is fitted.")
+    ] = 120.0,
     jobs: words.Jobs = 1,
     backend: OnBackend = Backend.LOKY,
     scheduler: Scheduler = None,
@@ -38,6 +42,7 @@ def diagnose(
     """Name the physics that a simulation leaves out.
 
     It says where simulation and recording differ, and how much better the simulation fits with what it names.
+    Ctrl-C ends the search: what was found so far is said.
     docs/diagnosis.md describes the files. The exit code is 0 whatever the verdict. If one of several rigs cannot be
     diagnosed, the command says so, writes the others, and exits with 2.
     """
@@ -48,12 +53,12 @@ def diagnose(
     if accept and len(rigs) > 1:
         raise InputError("--accept takes the formula of one rig; give one")
     if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
-        with following("diagnosing") as progress:
-            found, lines = explain(rigs[0], out, html, effects, progress, page)
+        with following("diagnosing") as progress, ended_early(Budget(seconds)) as budget:
+            found, lines = explain(rigs[0], out, html, effects, progress, page, budget)
         failed = []
     else:
         with joblib_on(backend, scheduler), following("diagnosing") as progress:
-            results = explain_all(rigs, out, html, effects, jobs, progress, page)
+            results = explain_all(rigs, out, html, effects, jobs, progress, page, seconds)
         found = {name: content for name, (content, _) in results.items()}
         failed = [name for name, content in found.items() if "error" in content]
         found = found if len(rigs) > 1 else next(iter(found.values()))

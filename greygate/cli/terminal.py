@@ -1,12 +1,13 @@
 """Shared by all commands: results on stdout, messages on stderr, and arguments that name recordings."""
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event, Thread, current_thread, main_thread
 from typing import Annotated
 
 import typer
@@ -14,7 +15,7 @@ import typer
 from greygate import schemas
 from greygate.errors import InputError, one_line
 from greygate.names import check_text
-from greygate.progress import Progress
+from greygate.progress import Budget, Progress
 
 SILENCE = 5.0  # s between two lines of long work, where stderr is no terminal
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
@@ -63,6 +64,25 @@ def following(title: str) -> Iterator[Progress]:
     else:
         with _repeating(title) as progress:
             yield progress
+
+
+@contextmanager
+def ended_early(budget: Budget) -> Iterator[Budget]:
+    """The first Ctrl-C ends the budget, and a further one the command."""
+
+    def end(number: int, frame: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        budget.stop()
+        say("ending with what was found so far; Ctrl-C once more ends at once")
+
+    if current_thread() is not main_thread():
+        yield budget
+        return
+    before = signal.signal(signal.SIGINT, end)
+    try:
+        yield budget
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
