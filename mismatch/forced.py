@@ -19,13 +19,14 @@ from greygate.mismatch.fit import Fit, tame
 from greygate.mismatch.model import Model
 from greygate.mismatch.places import places
 from greygate.mismatch.rig import FEWEST, Rig
-from greygate.mismatch.runs import along, with_channels
+from greygate.mismatch.runs import Runs, along, with_channels
 from greygate.mismatch.scales import noise
 from greygate.mismatch.search import Search
 from greygate.plants.plant import Plant, Values
 from greygate.plants.recording import Recording
 
 FORCED = "forced_"
+LONGEST = 40_000  # samples of all channels together that are looked at: a function takes as many numbers
 WINDOWS = 40  # of a recording, at least, where the run begins anew in windows
 SMALL = 0.01  # of the largest term of a place: a term of this size changes the errors in proportion
 EXPECTED = 0.9  # of the cost that pure noise would have: what is above it is misfit
@@ -40,6 +41,18 @@ def sums(rig: Rig) -> list[str]:
     plant = rig.plant
     balances = [name for name, e in plant.equations.items() if not plant.states[e.state].rate]
     return balances + [name for name, d in plant.definitions.items() if d.symbol in rig.predict]
+
+
+def first(recording: Recording, samples: int) -> Recording:
+    """The first of so many samples; of several recordings the same share of each."""
+    share = min(samples / recording.samples, 1.0)
+    if share == 1.0:
+        return recording
+    runs = [
+        replace(run, channels={name: c[: int(share * run.samples)] for name, c in run.channels.items()})
+        for run in recording.runs
+    ]
+    return Runs.of(runs) if isinstance(recording, Runs) else runs[0]
 
 
 def between(rig: Rig) -> dict[Place, list[str]]:
@@ -61,7 +74,10 @@ class Forced:
     """
 
     def __init__(self, search: Search, values: Mapping[str, float] | None = None):
-        everywhere, recording = sums(search.rig), search.final.model.recording
+        everywhere, recording = (
+            sums(search.rig),
+            first(search.final.model.recording, LONGEST // len(search.rig.predict)),
+        )
         anew = not search.rig.window and any(state in search.rig.channels for state in search.rig.plant.states)
         self.rig = _restarted(search.rig, recording) if anew else search.rig
         rig = replace(self.rig, plant=_opened(self.rig.plant, everywhere))

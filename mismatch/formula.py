@@ -131,7 +131,7 @@ class Finder:
 
     def found(self) -> Formula | None:
         """The formula; None where there is no misfit, or no signal explains any."""
-        if not self.misfit > LEAST * self.forced.expected:
+        if not (self.forced.places and self.misfit > LEAST * self.forced.expected):
             return None
         place, variables = self._where()
         formula = self._written(place, self._pool(variables))

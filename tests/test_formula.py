@@ -9,9 +9,10 @@ from greygate.cli.terminal import ended_early
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import read
-from greygate.mismatch.forced import Forced
+from greygate.mismatch.forced import Forced, first
 from greygate.mismatch.formula import Finder
 from greygate.mismatch.model import Model
+from greygate.mismatch.runs import Runs
 from greygate.mismatch.search import Search
 from greygate.mismatch.several import by_rule
 from greygate.mismatch.words import lines
@@ -189,3 +190,11 @@ def test_the_first_interrupt_ends_the_budget_and_the_second_the_command(capsys):
         assert "ending with what was found" in capsys.readouterr().err
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
+
+
+def test_a_long_recording_is_looked_at_in_part_and_several_in_equal_parts(hidden):
+    recording = hidden("", "").to_explain()
+    several = Runs.of([recording, recording])
+    assert first(recording, SAMPLES) is recording
+    assert first(recording, 300).samples == 300
+    assert [run.samples for run in first(several, 600).runs] == [300, 300]

@@ -51,7 +51,7 @@ def facts(case: Diagnosed) -> list[tuple[str, str, bool | None]]:
         if entry["id"] != "unknown" and entry["parameters"]:
             name, p = next(iter(entry["parameters"].items()))
             known = amount(p["value"], p["ci95"], p["unit"])
-            size = f", {name} {known.value} {known.unit}"
+            size = f", {name} {known}; confidence {entry['confidence']:.2g}"
         if entry["id"] == "unknown" and "formula" in found["where"][0]:
             lines.append(("a formula", found["where"][0]["formula"], None))
         else:
