@@ -13,27 +13,22 @@ import numpy as np
 
 from greygate.mismatch.effects import SENSOR, Effect, Free
 from greygate.mismatch.fit import NORMAL, Fit
+from greygate.mismatch.forced import sensors
 from greygate.mismatch.halves import Halves
-from greygate.mismatch.libraries import Basis, Candidate, declared
-from greygate.mismatch.model import TINY, lagged
+from greygate.mismatch.libraries import Basis, declared
 from greygate.mismatch.rig import Rig
-from greygate.mismatch.runs import along
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.mismatch.unnamed import unnamed
+from greygate.mismatch.unnamed import unnamed, unnamed_beside
 from greygate.plants.closure import SEEN, Place
 from greygate.plants.expressions import names, replaced
-from greygate.plants.plant import Values
 
-LAGS = {"lag_2": 2, "lag_5": 5, "lag_15": 15}  # samples, of a sensor that answers late
 TERMS = 4  # basis functions in a closure, at most
 SURE = 5.0  # standard deviations of a coefficient, below which its function goes again
 WORTH = 0.03  # of the misfit that a further function must remove
 ALIKE = WORTH / 3  # of the misfit, within which two sets of functions are equally good
 NOISE = 0.9  # of the cost that pure noise would have: so much counts as noise, what is above it as misfit
-STEEP = 20.0  # of the tanh that stands for a sign: 5 % of the largest value are 76 % of the sign
 CONFIDENCE_DIGITS = 4  # behind the point, of a share in diagnosis.json
 LEAST = 1e-9  # cost, in place of a misfit of 0
-FLAT = 1e-12  # of a signal's size, below which its spread is rounding
 
 
 class NowhereError(Exception):
@@ -41,7 +36,7 @@ class NowhereError(Exception):
 
 
 def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
-    """Place -> functions that may be missing there, as the plant's file declares them, or of every signal.
+    """Place -> functions that may be missing there, as the plant's file declares them.
 
     signals: inputs and states along the recording (samples,). A function of a signal that does not move is left out.
     """
@@ -54,38 +49,7 @@ def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]
             if {n for n in names([candidate.expression]) if n.startswith(SEEN)} <= seen
         }
         for where, basis in found.items()
-    } or _powers(search, signals)
-
-
-def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
-    """For every balance but that of a position, and every law that gives a predicted channel: powers of each signal.
-
-    They are as large as the largest term that is there.
-    """
-    model, plant = search.final.model, search.rig.plant  # without effects: their terms are 0, their states unknown
-    rates = {state.rate for state in plant.states.values() if state.rate}
-    states, inputs = model.states(model.values)
-    simulated = dict(zip(model.plant.states, states.T, strict=True))
-    scope = Values(plant, {**{s: simulated[s] for s in plant.states}, **inputs, **signals})
-    scope.update({s: v for s, v in model.spread(model.values).items() if s in plant.parameters})
-    out: dict[str, Basis] = {}
-    terms = {name: e.terms for name, e in plant.equations.items() if not plant.states[e.state].rate}
-    terms |= {name: d.terms for name, d in plant.definitions.items() if d.symbol in search.rig.predict}
-    for name, there in terms.items():
-        sizes = [float(np.sqrt(np.mean(np.square(scope.evaluate(term))))) for term in there.values()]
-        size = max((size for size in sizes if np.isfinite(size)), default=0.0) or 1.0
-        decade = round(np.log10(max(size, TINY)))
-        scale = repr(float(f"1e{decade}"))
-        basis = {"one": Candidate(f"{scale} * (1.0)", ())}
-        for s in signals:
-            inside = f"min(max({s}, seen_low_{s}), seen_high_{s})"  # beyond what was seen it stays as it was
-            z = f"((2.0 * {inside} - seen_low_{s} - seen_high_{s}) / (seen_high_{s} - seen_low_{s}))"
-            shapes = {s: z, f"{s}2": f"{z}**2", f"{s}3": f"{z}**3"}
-            if s in rates or np.min(signals[s]) < 0.0 < np.max(signals[s]):
-                shapes[f"sign_{s}"] = f"tanh({STEEP} * {s} / max(seen_high_{s}, abs(seen_low_{s})))"
-            basis |= {key: Candidate(f"{scale} * ({shape})", (s,)) for key, shape in shapes.items()}
-        out[name] = basis
-    return out
+    }
 
 
 def _subset(halves: Halves, mine: list[int], total: float) -> tuple[float, list[int]]:
@@ -105,33 +69,6 @@ def _subset(halves: Halves, mine: list[int], total: float) -> tuple[float, list[
         least = most - ALIKE * max(total, 0.0)
         gain, chosen = min(((g, use) for g, use in saved if g >= least), key=lambda t: sum(t[1]))
     return gain, chosen
-
-
-def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
-    """(place, function) -> what a sensor at fault would add to the errors, (samples, channels)."""
-    likelihood, rig = base.likelihood, search.rig
-    values = {**likelihood.model.values, **base.values}
-    predicted = likelihood.model.predict(values, base.shifts * likelihood.local_scale)
-    out, cut = {}, likelihood.model.pieces
-    for i, channel in enumerate(rig.predict):
-        signal = predicted[:, i]
-        rate = along(lambda part: np.gradient(part, rig.dt), cut, signal)
-        shapes = {
-            "one": np.ones_like(signal),
-            "value": signal - signal.mean(),
-            "rate": rate,
-            "t": likelihood.model.recording.time,
-        }
-        shapes |= {
-            name: along(lambda part, s=lag * rig.dt: lagged(part, s, rig.dt), cut, signal) - signal
-            for name, lag in LAGS.items()
-        }
-        for name, shape in shapes.items():
-            column = np.zeros_like(base.errors)
-            size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)
-            column[:, i] = -shape / size
-            out[SENSOR + channel, name] = likelihood.white(column)
-    return out
 
 
 @dataclass(frozen=True)
@@ -170,7 +107,7 @@ class _Unknowns:
             start = {**base.values, **{f.symbol: 0.0 for f in effects[key].free}}
             columns.append(likelihood.slopes(unknowns, start, base.shifts, base.errors, base.temper))
         if rig.window:
-            for place, column in _sensors(search=again, base=base).items():
+            for place, column in sensors(base).items():
                 keys.append(place)
                 columns.append(likelihood.rows(column[:, :, None], base.temper))
         if not columns:
@@ -224,14 +161,18 @@ def _effects(rig: Rig, found: Mapping[str, Basis]) -> dict[str, Effect]:
 
 def left_beside(search: Search, given: Hypothesis, values: Mapping[str, float]) -> list[dict]:
     """Where something is missing beside the hypothesis `given`, which was fitted with `values`."""
-    try:
-        unknowns = _Unknowns.of(search, given, values)
-    except NowhereError:
-        return []
-    place, chosen, share = unknowns.chosen()
-    where = unknowns.where(place, chosen)
-    on = ", ".join(where["depends_on"]) or "nothing that was recorded"
-    return [{**where, "regime": f"left beside it: something that depends on {on}, {share:.0%} of what is left"}]
+    if not search.rig.plant.closure.places:
+        where, share = unnamed_beside(search, given, values)
+    else:
+        try:
+            unknowns = _Unknowns.of(search, given, values)
+        except NowhereError:
+            return []
+        place, chosen, share = unknowns.chosen()
+        where = [unknowns.where(place, chosen)]
+    regime = "left beside it: something that depends on {}, {:.0%} of what is left"
+    nothing = "nothing that was recorded"
+    return [{**w, "regime": regime.format(", ".join(w["depends_on"]) or nothing, share)} for w in where]
 
 
 def closure(search: Search, values: Mapping[str, float] | None = None) -> tuple[dict, Fit | None]:

@@ -14,18 +14,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from greygate.mismatch.entries import TIME
+from greygate.mismatch.entries import SENSOR, TIME
 from greygate.mismatch.fit import Fit, tame
-from greygate.mismatch.model import Model
+from greygate.mismatch.model import TINY, Model, lagged
 from greygate.mismatch.places import places
 from greygate.mismatch.rig import FEWEST, Rig
 from greygate.mismatch.runs import Runs, along, with_channels
 from greygate.mismatch.scales import noise
-from greygate.mismatch.search import Search
+from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.plant import Plant, Values
 from greygate.plants.recording import Recording
 
 FORCED = "forced_"
+NOTHING = Hypothesis()
+LAGS = {"lag_2": 2, "lag_5": 5, "lag_15": 15}  # samples, of a sensor that answers late
+FLAT = 1e-12  # of a signal's size, below which its spread is rounding
 LONGEST = 40_000  # samples of all channels together that are looked at: a function takes as many numbers
 WINDOWS = 40  # of a recording, at least, where the run begins anew in windows
 SMALL = 0.01  # of the largest term of a place: a term of this size changes the errors in proportion
@@ -64,31 +67,58 @@ def between(rig: Rig) -> dict[Place, list[str]]:
     return found
 
 
+def sensors(base: Fit) -> dict[tuple[str, str], np.ndarray]:
+    """(place, function) -> what a sensor at fault would add to the errors of a fit, (samples, channels)."""
+    likelihood = base.likelihood
+    rig = likelihood.model.rig
+    values = {**likelihood.model.values, **base.values}
+    predicted = likelihood.model.predict(values, base.shifts * likelihood.local_scale)
+    out, cut = {}, likelihood.model.pieces
+    for i, channel in enumerate(rig.predict):
+        signal = predicted[:, i]
+        rate = along(lambda part: np.gradient(part, rig.dt), cut, signal)
+        shapes = {
+            "one": np.ones_like(signal),
+            "value": signal - signal.mean(),
+            "rate": rate,
+            "t": likelihood.model.recording.time,
+        }
+        shapes |= {
+            name: along(lambda part, s=lag * rig.dt: lagged(part, s, rig.dt), cut, signal) - signal
+            for name, lag in LAGS.items()
+        }
+        for name, shape in shapes.items():
+            column = np.zeros_like(base.errors)
+            size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)
+            column[:, i] = -shape / size
+            out[SENSOR + channel, name] = likelihood.white(column)
+    return out
+
+
 class Forced:
-    """The calibrated fit of a search's plant, without any effect, and what functions of its signals change there.
+    """The calibrated fit of a search's plant, and what functions of its signals change there.
 
     rig: the search's, with restarts where states are recorded. base: that fit. signals: what moves along the
     recording, as recorded or as a rate of that, else as simulated, and how far bodies are apart (samples,). places:
     where a term may be missing -> the signals on which it may depend there. size: RMS of the largest term of each
-    place. values: from which the plant is calibrated.
+    place. given: effects that the plant has, fitted from `values` on.
     """
 
-    def __init__(self, search: Search, values: Mapping[str, float] | None = None):
-        everywhere, recording = (
-            sums(search.rig),
-            first(search.final.model.recording, LONGEST // len(search.rig.predict)),
-        )
+    def __init__(self, search: Search, given: Hypothesis = NOTHING, values: Mapping[str, float] | None = None):
+        everywhere, most = sums(search.rig), LONGEST // len(search.rig.predict)
+        recording = first(search.final.model.recording, most)
         anew = not search.rig.window and any(state in search.rig.channels for state in search.rig.plant.states)
         self.rig = _restarted(search.rig, recording) if anew else search.rig
         rig = replace(self.rig, plant=_opened(self.rig.plant, everywhere))
         zeros = {FORCED + place: np.zeros(recording.samples) for place in everywhere}
         units = {**recording.units, **dict.fromkeys(zeros, "")}
         recording = with_channels(recording, {**recording.channels, **zeros}, units)
-        self.search = Search(rig, recording, {})
+        self.search = Search(rig, recording, {key: search.effects[key] for key in given.effects})
         if search.rig.stated and not anew:
             self.search.under(search.noise)
         self.search.between = search.between
-        self.base: Fit = self.search.base(self.search.final)
+        final = self.search.final
+        self.base: Fit = self.search.fit(final, given, values or {}) if given.size else self.search.base(final)
         moving, scope = _signals(self.search, {**(values or {}), **self.base.values})
         self._values = Values(rig.plant, scope)
         self._values.update({s: v for s, v in self.base.values.items() if s in rig.plant.parameters})

@@ -8,16 +8,18 @@ that the coefficients were not fitted to; of formulas that save nearly as much t
 linear in its coefficient, so a choice is one of columns (forced.py); a knee is refined by halving steps.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 
-from greygate.mismatch.fit import NORMAL
-from greygate.mismatch.forced import Forced, Place
+from greygate.mismatch.entries import SENSOR
+from greygate.mismatch.fit import NORMAL, Fit
+from greygate.mismatch.forced import Forced, Place, sensors
 from greygate.mismatch.halves import RIDGE, Halves
+from greygate.mismatch.linearised import nothing
 from greygate.mismatch.model import TINY
 from greygate.plants.expressions import names
 
@@ -97,21 +99,20 @@ class Curve:
 
 
 class Judge:
-    """What sets of columns save on alternate stretches, with coefficients from the other ones.
+    """What sets of columns save on alternate stretches, with coefficients from the other ones (halves.py).
 
-    columns: key -> (windows, rows). The parameters of the plant move along.
+    columns: key -> (windows, rows).
     """
 
-    def __init__(self, forced: Forced, columns: dict[str, np.ndarray]):
-        base = forced.base
-        self.at = {key: i for i, key in enumerate(columns)}
-        nothing = np.zeros((*base.projected.shape, 0))
-        self.halves = Halves.of(base, np.concatenate([nothing, *(c[:, :, None] for c in columns.values())], axis=2))
-        self.plain = self.halves.saved([])
+    def __init__(self, base: Fit, columns: Mapping[str, np.ndarray]):
+        made = [nothing(base), *(column[:, :, None] for column in columns.values())]
+        self._halves = Halves.of(base, np.concatenate(made, axis=2))
+        self._at = {key: i for i, key in enumerate(columns)}
+        self.plain = self._halves.saved([])
 
     def gain(self, keys: Iterable[str]) -> float:
         """The cost that these columns save beyond what the parameters alone do."""
-        return self.halves.saved([self.halves.k + self.at[key] for key in dict.fromkeys(keys)]) - self.plain
+        return self._halves.saved([self._halves.k + self._at[key] for key in dict.fromkeys(keys)]) - self.plain
 
 
 class Finder:
@@ -124,21 +125,27 @@ class Finder:
     def misfit(self) -> float:
         """Cost beyond that of the noise, and beyond what the parameters save."""
         squares = float(np.sum(self.forced.base.projected**2))
-        return squares - self.forced.expected - Judge(self.forced, {}).plain
+        return squares - self.forced.expected - Judge(self.forced.base, {}).plain
 
     def judge(self, place: Place, texts: Iterable[str]) -> Judge:
-        return Judge(self.forced, {text: self.forced.column(place, text) for text in dict.fromkeys(texts)})
+        return Judge(self.forced.base, {text: self.forced.column(place, text) for text in dict.fromkeys(texts)})
 
     def found(self) -> Formula | None:
         """The formula; None where there is no misfit, or no signal explains any."""
         if not (self.forced.places and self.misfit > LEAST * self.forced.expected):
             return None
-        place, variables = self._where()
+        place, variables, gain = self.where
+        if place[0].startswith(SENSOR):
+            return Formula(place, (), gain / self.misfit)
         formula = self._written(place, self._pool(variables))
         return formula if formula is not None and formula.share > WORTH else None
 
-    def _where(self) -> tuple[Place, tuple[str, ...]]:
-        """The place, and the signals, at most two, whose smooth functions save most."""
+    @cached_property
+    def where(self) -> tuple[Place, tuple[str, ...], float]:
+        """The place, the signals, at most two, whose smooth functions save most there, and the cost that they save.
+
+        The place may be a sensor at fault.
+        """
         groups = {
             v: [*self._smooth(v), *(t for wave in self._waves(v) for t in wave.texts)] for v in self.forced.signals
         }
@@ -156,8 +163,22 @@ class Finder:
             for (v, r), products in both.items():
                 gain = judge.gain([ONE, *groups[v], *groups[r], *products])
                 found.append((gain - 2 * WORTH * self.misfit, place, (v, r)))
-        _, place, chosen = max(found)
-        return place, chosen
+        found += self._sensors()
+        gain, place, chosen = max(found)
+        return place, chosen, gain + len(chosen) * WORTH * self.misfit
+
+    def _sensors(self) -> list[tuple[float, Place, tuple[str, ...]]]:
+        """What faults of each sensor save, beyond the price of two terms."""
+        base = self.forced.base
+        found: list[tuple[float, Place, tuple[str, ...]]] = []
+        columns: dict[str, dict[str, np.ndarray]] = {}
+        for (place, name), column in sensors(base).items() if self.forced.search.rig.window else ():
+            rows = base.likelihood.rows(column[:, :, None], base.temper)
+            columns.setdefault(place, {})[name] = base.likelihood.eliminate(rows, None, base.basis)[0][:, :, 0]
+        for place, of in columns.items():
+            gain = Judge(base, of).gain(of)
+            found.append((gain - 2 * WORTH * self.misfit, (place,), (place.removeprefix(SENSOR),)))
+        return found
 
     @staticmethod
     def _products(v: str, r: str) -> list[str]:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from greygate.mismatch.effects import Effect, Free
+from greygate.mismatch.effects import SENSOR, Effect, Free
 from greygate.mismatch.fit import NORMAL, Fit
 from greygate.mismatch.forced import Forced, Place
 from greygate.mismatch.formula import ONE, Finder, Formula
@@ -21,10 +21,15 @@ def unnamed(search: Search, values: Mapping[str, float] | None = None) -> tuple[
 
     values: from which the plant is calibrated.
     """
-    finder = Finder(Forced(search, values))
+    finder = Finder(Forced(search, values=values))
     formula = finder.found()
     if formula is None:
         return {"where": [], "effect": None}, None
+    if not formula.shapes:
+        regime = f"the sensor: its faults take {formula.share:.0%} of the misfit"
+        depends_on = [formula.place[0].removeprefix(SENSOR)]
+        sensor = {"equation": formula.place[0], "depends_on": depends_on, "regime": regime}
+        return {"where": [sensor], "effect": None, "share": formula.share}, None
     effects = dict(zip(_symbols(formula), formula.texts, strict=True))
     plain, fit = _fitted(search, finder, formula, [*effects])
     share = _removed(plain, fit)
@@ -46,6 +51,16 @@ def unnamed(search: Search, values: Mapping[str, float] | None = None) -> tuple[
         "not_told_apart_from": [],
     }
     return {"where": [{"equation": name, **where} for name in formula.place], "effect": effect, "share": share}, fit
+
+
+def unnamed_beside(search: Search, given: Hypothesis, values: Mapping[str, float]) -> tuple[list[dict], float]:
+    """(where something is missing beside what is `given`, fitted with `values`; the share of the misfit there)."""
+    finder = Finder(Forced(search, given, values))
+    if not finder.forced.places or finder.misfit <= 0.0:
+        return [], 0.0
+    place, variables, gain = finder.where
+    depends_on = sorted(names(variables))
+    return [{"equation": name, "depends_on": depends_on} for name in place], min(gain / finder.misfit, 1.0)
 
 
 def _fitted(search: Search, finder: Finder, formula: Formula, symbols: Sequence[str]) -> tuple[Fit, Fit]:
