@@ -397,8 +397,9 @@ def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None, 
         return unknown, closed
     if refused:
         claims.refused.append(f"no term is fitted: {refused}")
-        for place in unknown["where"]:
-            place["regime"] = "no function of the signals that was tried takes what is left"
+        regime = "no function of the signals that was tried takes what is left"
+        bare = [{key: place[key] for key in ("equation", "depends_on")} for place in unknown["where"]]
+        unknown = {**unknown, "where": [{**place, "regime": regime} for place in bare]}
     plain = claims.calibrated
     # its values as they are: fitted anew to long windows, they may predict worse
     return {**unknown, "effect": None}, search.final.fit(plain.unknowns, plain.values, iterations=0)

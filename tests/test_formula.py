@@ -157,6 +157,13 @@ def test_an_accepted_formula_is_named_as_an_effect_of_the_rigs_own_table(hidden,
     assert greygate("diagnose", rig.folder, rig.folder, "--accept")[0] == 2
 
 
+def test_a_formula_that_is_refused_is_not_shown(hidden, monkeypatch):
+    monkeypatch.setattr("greygate.mismatch.diagnose._no_term", lambda *_: "it does harm elsewhere")
+    found = diagnose(hidden("electric", "-0.5"), {}).as_dict()
+    assert found["refused"][-1] == "no term is fitted: it does harm elsewhere"
+    assert ("formula" in found["where"][0], found["effects"]) == (False, [])
+
+
 def test_a_run_that_begins_elsewhere_than_the_plant_says_begins_as_recorded(tmp_path):
     """The last 300 of 600 samples of a cart that moves: position and speed are those of that moment."""
     (tmp_path / "cart.toml").write_text(CART)
