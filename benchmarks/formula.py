@@ -30,7 +30,7 @@ CASES: dict[str, dict[str, tuple[str, ...]]] = {  # plant -> effect -> kinds of 
         "input_dead_zone": (SIGN,),
     },
     "electrical": {"leak": ("linear",), "input_offset": (FLAT,), "diode": (BENT,)},
-    "thermal": {"leak": ("linear",), "radiation": (BENT, EVEN, ODD)},
+    "thermal": {"leak": ("linear", BENT), "radiation": (BENT, EVEN, ODD)},  # BENT: all that was seen is above the knee
     "tank": {"leak": ("linear", "root"), "weir": (BENT,), "clogging": ("linear", "product")},
     "quarter_car": {"dry_friction": (SIGN,), "hardening_spring": (ODD,), "bump_stop": (BENT,)},
 }

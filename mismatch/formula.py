@@ -238,7 +238,6 @@ class Finder:
         levels = [low + level * (high - low) for level in LEVELS]
         sided = f"(max({inside}, KNEE) - KNEE)", f"(min({inside}, KNEE) - KNEE)"
         step = (high - low) / len(levels)
-        found += [Shape((f"({inside} - KNEE)",), "linear", 2, end, step) for end in (low, high)]
         found += [Shape((form,), "threshold", 3, level, step) for form in sided for level in levels]
         return found + self._waves(v)
 
