@@ -275,11 +275,11 @@ def _reduced(state: State, less: Hypothesis, why: str) -> State:
 
 
 def _confident(state: State) -> State:
-    """No name stands of which the diagnosis is less sure than of all else: of it, or of another in its place.
+    """Beside something left no name stands that, or another in its place, is less sure than all else.
 
-    Except one beside which alone surer ones are borne out: something is there, whatever it is called.
+    One stays beside which alone surer ones are borne out: something is there, whatever it is called.
     """
-    while state.found.best.effects and state.verdict != Verdict.UNEXPLAINED:
+    while state.found.best.effects and state.verdict == Verdict.PARTLY_EXPLAINED:
         sure = _diagnosis(state).placed
         key = min(sure, key=lambda key: sure[key])
         if sure[key] >= LEAST_SURE:

@@ -71,6 +71,9 @@ def test_what_is_taken_back_is_no_claim_and_the_diagnosis_says_why(slipping, mon
 def test_a_name_that_something_else_outweighs_is_not_claimed(slipping, monkeypatch):
     search = slipping[0]
     monkeypatch.setattr(Diagnosis, "placed", {"speed_slip": 0.49})
+    assert finding._explained(search, lambda line: None).best.effects == ("speed_slip",)  # nothing is left
+    partly = [Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED]
+    monkeypatch.setattr(finding, "_verdict", lambda best, *given: partly[not best.effects])
     found = finding._explained(search, lambda line: None)
     assert found.verdict == Verdict.UNEXPLAINED
     assert "speed_slip is not claimed: it came nearest, with a confidence of 0.49" in found.refused
