@@ -27,7 +27,8 @@ def accept(folder: Path, found: Mapping) -> str:
     known, before = (read(path), path.read_text(encoding="utf-8")) if path.exists() else ({}, "")
     key = next(name for n in count(1) if (name := f"own_{place['equation']}{f'_{n}' * (n > 1)}") not in known)
     with replacing(path) as temporary:
-        temporary.write_text(f"{before}{chr(10) * bool(before)}{_entry(key, found['plant'], place, unknown)}", "utf-8")
+        entry = _entry(key, found["plant"], place, unknown)
+        temporary.write_text(f"{before}\n{entry}" if before else entry, encoding="utf-8")
     return f"{path} has the effect {key} now: {place['formula']}"
 
 

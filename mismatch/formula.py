@@ -38,6 +38,7 @@ BINS, BINS_EACH = 4096, 8  # of a signal's range, over which errors are summed; 
 LOWEST = 2  # periods over the range: fewer are a curve
 PEAKS = 2  # waves of a signal that are tried
 CHANCE = 1e-3  # of so high a peak anywhere in a periodogram of noise
+LONG, LONGEST = 3, 4  # what there is to read of a function with a number in it, or a cube; of a wave. Others: 1 or 2
 KNOTS = 13  # of a curve
 STIFF = 1e-3  # of the curvature of the cost by a knot: so much counts that a curve bends there
 
@@ -208,7 +209,7 @@ class Finder:
                 found.append((height, 2 * np.pi * (LOWEST + int(np.argmax(power))) / (high - low)))
         peaks = [f for _, f in sorted(found, reverse=True)[:PEAKS]]
         forms, step = (f"sin(KNEE * {v})", f"cos(KNEE * {v})"), np.pi / (high - low)
-        return [Shape(forms, "periodic", 4, f, step) for f in peaks]
+        return [Shape(forms, "periodic", LONGEST, f, step) for f in peaks]
 
     def _pool(self, variables: Sequence[str]) -> list[Shape]:
         """The functions of which a formula in these signals is made."""
@@ -217,28 +218,28 @@ class Finder:
             pool += self._shapes(v)
         for one, other in zip(variables, reversed(variables), strict=True) if len(variables) == 2 else ():
             sign = f"tanh({SHARP / max(map(abs, self._ends(one))):.4g} * {one})"
-            pool.append(Shape((f"abs({one}) * {other}",), "product", 3))
-            pool.append(Shape((f"{one}**2 * {other}",), "product", 3))
-            pool.append(Shape((f"{sign} * {other}",), "product", 4))
+            pool.append(Shape((f"abs({one}) * {other}",), "product", LONG))
+            pool.append(Shape((f"{one}**2 * {other}",), "product", LONG))
+            pool.append(Shape((f"{sign} * {other}",), "product", LONGEST))
         return pool + ([Shape((" * ".join(variables),), "product", 2)] if len(variables) == 2 else [])
 
     def _shapes(self, v: str) -> list[Shape]:
         """The functions of one signal."""
         low, high = self._ends(v)
         most, inside = max(-low, high), _bare(v)
-        found = [Shape((v,), "linear", 1), Shape((f"{v}**2",), "even", 2), Shape((f"{v}**3",), "odd", 3)]
+        found = [Shape((v,), "linear", 1), Shape((f"{v}**2",), "even", 2), Shape((f"{v}**3",), "odd", LONG)]
         if low < 0 < high:
             found += [Shape((f"abs({inside})",), "even", 2), Shape((f"{v} * abs({inside})",), "odd", 2)]
             band = f"(max({inside} - KNEE, 0.0) + min({inside} + KNEE, 0.0))"
             bent = {f"tanh({v} / KNEE)": "saturating", band: "threshold"}
             knees = [knee * most for knee in KNEES]
-            found += [Shape((form,), kind, 3, knee, knee) for form, kind in bent.items() for knee in knees]
+            found += [Shape((form,), kind, LONG, knee, knee) for form, kind in bent.items() for knee in knees]
         else:
             found.append(Shape((f"sqrt(abs({inside}))",), "root", 2))
         levels = [low + level * (high - low) for level in LEVELS]
         sided = f"(max({inside}, KNEE) - KNEE)", f"(min({inside}, KNEE) - KNEE)"
         step = (high - low) / len(levels)
-        found += [Shape((form,), "threshold", 3, level, step) for form in sided for level in levels]
+        found += [Shape((form,), "threshold", LONG, level, step) for form in sided for level in levels]
         return found + self._waves(v)
 
     def _written(self, place: Place, pool: list[Shape]) -> Formula | None:
