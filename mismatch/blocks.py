@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t
+from scipy.stats import chi2, t
 
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY
@@ -155,26 +155,29 @@ class Judge:
                 found.append(Loss(channel, self.model.rig.channels[channel].unit, (), was, now))
         return found
 
-    def total(self, fit: Fit) -> float:
-        """Squared error of a fit over that of the data sheet's plant, in the mean over channels, not learnt from."""
+    def total(self, fit: Fit, exact: bool = False) -> float:
+        """Squared error of a fit over that of the data sheet's plant, in the mean over channels, not learnt from.
+
+        exact: as for `unseen`.
+        """
         sheet = self.errors({})
         if not np.isfinite(sheet).all():
             return 0.0
-        error = self.unlearnt(fit)
+        error = self.unlearnt(fit, exact)
         return float(np.mean(np.mean(error**2, axis=0) / (np.mean(sheet**2, axis=0) + TINY)))
 
-    def unlearnt(self, fit: Fit) -> np.ndarray:
+    def unlearnt(self, fit: Fit, exact: bool = False) -> np.ndarray:
         """Errors of a fit, each block by the fit to the others (samples of all blocks, channels)."""
-        return np.concatenate([self.unseen(fit, held) for held in self.blocks(fit, fit)])
+        return np.concatenate([self.unseen(fit, held, exact) for held in self.blocks(fit, fit)])
 
-    def no_better(self, plain: Fit, fit: Fit) -> str:
+    def no_better(self, plain: Fit, fit: Fit, exact: bool = False) -> str:
         """Why `fit` does not earn to be worn in place of `plain`, on blocks not learnt from; empty where it does.
 
         Its squared error must be smaller, in the mean over channels each by that of `plain`, and no channel's larger by
         more than chance makes of it.
         """
         blocks = self.blocks(plain, fit)
-        before, after = (np.concatenate([self.unseen(f, held) for held in blocks]) for f in (plain, fit))
+        before, after = (np.concatenate([self.unseen(f, held, exact) for held in blocks]) for f in (plain, fit))
         if not np.isfinite(after).all():
             return "with it the run diverges where it was not learnt from"
         ratio = np.mean(after**2, axis=0) / (np.mean(before**2, axis=0) + TINY)
@@ -191,8 +194,11 @@ class Judge:
 
         By a one-sided test at the level CHANCE, all channels together: paired differences of the squared errors of
         each block with and without that block among what is learnt from. What linearised fits show is fitted again.
+        A run that errs though its parameters are the same, within chance, is one that little leads astray.
         """
-        return self._overfitted(fit, exact=False) and self._overfitted(fit, exact=True)
+        if not (self._overfitted(fit, exact=False) and any(_moved(fit, held) for held in self.blocks(fit, fit))):
+            return ""
+        return self._overfitted(fit, exact=True)
 
     def _overfitted(self, fit: Fit, exact: bool) -> str:
         found, whole = [], self.errors(fit.values)
@@ -259,11 +265,25 @@ def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
         other = fit.likelihood.without(held)
         again = Likelihood.fit(other, fit.unknowns, fit.values, fit.shifts, iterations=REFIT)
         return again.values
+    numbers = fit.numbers + fit.step(_learnt(fit, held))
+    return {**fit.values, **{u.symbol: float(u.value(n)) for u, n in zip(fit.unknowns, numbers, strict=True)}}
+
+
+def _moved(fit: Fit, held: np.ndarray) -> bool:
+    """Whether the parameters are others, by more than chance, if a block is not learnt from (Wald's test)."""
+    values = _without(fit, held, exact=True)
+    away = np.array([u.number(values[u.symbol]) - n for u, n in zip(fit.unknowns, fit.numbers, strict=True)])
+    slopes = fit.slopes[_learnt(fit, held)].reshape(-1, len(away))
+    information = slopes.T @ slopes + np.diag(fit.weight)
+    squared = float(away @ information @ away) / max(1.0, float(np.mean(fit.projected**2)))
+    return squared > chi2.isf(CHANCE, max(len(away), 1))
+
+
+def _learnt(fit: Fit, held: np.ndarray) -> np.ndarray:
+    """The windows (windows,) of a fit whose middle does not lie in a block (samples,)."""
     likelihood = fit.likelihood
     ends = np.arange(1, likelihood.windows + 1) * likelihood.block - 1
-    learn = ~held[np.arange(len(held))[likelihood.kept][ends - likelihood.block // 2]]
-    numbers = fit.numbers + fit.step(learn)
-    return {**fit.values, **{u.symbol: float(u.value(n)) for u, n in zip(fit.unknowns, numbers, strict=True)}}
+    return ~held[np.arange(len(held))[likelihood.kept][ends - likelihood.block // 2]]
 
 
 def _own(fit: Fit, held: np.ndarray) -> dict[str, float]:

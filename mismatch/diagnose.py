@@ -260,10 +260,18 @@ def _worn(state: State) -> State:
 
 
 def _no_better(judge: Judge, calibrated: Fit, fit: Fit) -> str:
-    """Why a correction is not worn in place of the calibrated plant, nor that of the data sheet; empty where it is."""
-    if judge.total(fit) > (1.0 + MORE) ** 2:
-        return "with it the run errs more than with the data sheet where not learnt from"
-    return judge.no_better(calibrated, fit)
+    """Why a correction is not worn in place of the calibrated plant, nor that of the data sheet; empty where it is.
+
+    What linearised fits show is fitted again before it counts.
+    """
+    why = ""
+    for exact in (False, True):
+        why = judge.no_better(calibrated, fit, exact)
+        if judge.total(fit, exact) > (1.0 + MORE) ** 2:
+            why = "with it the run errs more than with the data sheet where not learnt from"
+        if not why:
+            break
+    return why
 
 
 def _reduced(state: State, less: Hypothesis, why: str) -> State:
