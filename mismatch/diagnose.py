@@ -367,8 +367,8 @@ def _named(search: Search, hypothesis: Hypothesis) -> str:
 
 
 def _taken(unknown: dict) -> float:
-    """The share of the misfit that a term takes there: all, where it is a sensor, which has no term."""
-    return (unknown.get("effect") or {}).get("confidence", 1.0)
+    """The share of the misfit that a term takes there: all, where it is a sensor, which has no term; none nowhere."""
+    return (unknown.get("effect") or {}).get("confidence", 1.0) if unknown["where"] else 0.0
 
 
 def _no_term(claims: Claims, unknown: dict, closed: Fit | None) -> str:

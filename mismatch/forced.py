@@ -98,10 +98,10 @@ def sensors(base: Fit) -> dict[tuple[str, str], np.ndarray]:
 class Forced:
     """The calibrated fit of a search's plant, and what functions of its signals change there.
 
-    rig: the search's, with restarts where states are recorded. base: that fit. signals: what moves along the
-    recording, as recorded or as a rate of that, else as simulated, and how far bodies are apart (samples,). places:
-    where a term may be missing -> the signals on which it may depend there. size: RMS of the largest term of each
-    place. given: effects that the plant has, fitted from `values` on.
+    rig: the search's, with restarts where states are recorded. told: whether its file says so. base: that fit.
+    signals: what moves along the recording, as recorded or as a rate of that, else as simulated, and how far bodies are
+    apart (samples,). places: where a term may be missing -> the signals on which it may depend there. size: RMS of the
+    largest term of each place. given: effects that the plant has, fitted from `values` on.
     """
 
     def __init__(self, search: Search, given: Hypothesis = NOTHING, values: Mapping[str, float] | None = None):
@@ -109,6 +109,7 @@ class Forced:
         recording = first(search.final.model.recording, most)
         anew = not search.rig.window and any(state in search.rig.channels for state in search.rig.plant.states)
         self.rig = _restarted(search.rig, recording) if anew else search.rig
+        self.told = bool(search.rig.window)
         rig = replace(self.rig, plant=_opened(self.rig.plant, everywhere))
         zeros = {FORCED + place: np.zeros(recording.samples) for place in everywhere}
         units = {**recording.units, **dict.fromkeys(zeros, "")}

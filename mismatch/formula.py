@@ -173,7 +173,7 @@ class Finder:
         base = self.forced.base
         found: list[tuple[float, Place, tuple[str, ...]]] = []
         columns: dict[str, dict[str, np.ndarray]] = {}
-        for (place, name), column in sensors(base).items() if self.forced.search.rig.window else ():
+        for (place, name), column in sensors(base).items() if self.forced.told else ():
             rows = base.likelihood.rows(column[:, :, None], base.temper)
             columns.setdefault(place, {})[name] = base.likelihood.eliminate(rows, None, base.basis)[0][:, :, 0]
         for place, of in columns.items():
