@@ -28,6 +28,7 @@ from greygate.mismatch.search import TOLERANCE, Hypothesis, Search
 from greygate.mismatch.several import modelled
 from greygate.progress import Progress, silent
 
+DITHER = 0.4  # of a step: noise so large leaves exp(-2 (pi 0.4)^2), 4 %, of the error that steps make
 PERCENT = 100
 ALONE = 0.1  # of what an effect saves beside another: what it saves without that one is at least so much, mostly
 LITTLE = 0.05  # of the calibrated plant's squared error, that two which undo each other must take together
@@ -123,7 +124,7 @@ def _undone(effects: Iterable[Effect], fit: Fit) -> dict[str, float]:
 def _rounded(effects: Iterable[Effect], fit: Fit) -> bool:
     """Whether effects move each channel by less than half a step of it, or of an input of its unit.
 
-    Noise of half a step or more carries what is smaller over the steps: then the steps hide nothing.
+    Noise of DITHER of a step or more carries what is smaller over the steps: then the steps hide nothing.
     """
     model = fit.likelihood.model
     with_, without = (model.predict({**model.values, **v}) for v in (fit.values, _undone(effects, fit)))
@@ -133,7 +134,7 @@ def _rounded(effects: Iterable[Effect], fit: Fit) -> bool:
     def step(name: str) -> float:
         alike = (channels[n] for n in (name, *model.rig.inputs) if channels[n].unit == channels[name].unit)
         size = max(channel.resolution for channel in alike)
-        return size if channels[name].noise < size / 2 else 0.0
+        return size if channels[name].noise < DITHER * size else 0.0
 
     steps = [step(name) for name in model.rig.predict]
     return bool(np.all(moved < np.array(steps) / 2))
