@@ -15,7 +15,7 @@ from greygate.mismatch import rig as rigs
 from greygate.mismatch.concealed.conceal import EVERY_RIG, conceal
 from greygate.mismatch.diagnose import diagnose
 
-from .made import keep
+from .made import keep, stored
 from .shared import scratch, stopwatch
 
 TAKES = "half an hour"
@@ -74,3 +74,11 @@ def main(*plants: Annotated[str, CASES]) -> None:
         for one in found:
             print(json.dumps(one), flush=True)
         keep("formula", plant, {"cases": found})
+    store_summary([case for plant in CASES for case in stored("formula").get(plant, {}).get("cases", ())])
+
+
+def store_summary(cases: list[dict]) -> None:
+    """Keep what all cases say together."""
+    counts = {name: sum(case[name] for case in cases) for name in ("variables", "kind", "worse")}
+    middle = {name: round(float(np.median([case[name] for case in cases])), 3) for name in ("removed", "seconds")}
+    keep("formula", "summary", {"cases": len(cases), **counts, **middle}, *CASES)

@@ -37,5 +37,11 @@ def main(*, every: Annotated[int, "try one case of so many"] = 1) -> int:
         for group in GROUPS:
             rows.append(measured(group, every))
             print(rows[-1], flush=True)
-    keep("torch_options", "options", {"steps": STEPS, "every": every, "agreed": AGREED, "rows": rows})
+    keep(
+        "torch_options",
+        "options",
+        {"steps": STEPS, "every": every, "agreed": AGREED, "rows": rows},
+        "--every",
+        str(every),
+    )
     return int(any(row["failing"] for row in rows))
