@@ -30,7 +30,12 @@ def chosen(monkeypatch):
     """A selection whose fits are never complete, and do not hang together."""
     for name, value in (("complete", False), ("inflation", 1.0), ("blurred", False)):
         monkeypatch.setattr(selection, name, lambda fit, value=value: value)
-    made = Selection(SimpleNamespace(effects=EFFECTS), SimpleNamespace(count=0), None, lambda text: None)
+    made = Selection(
+        SimpleNamespace(effects=EFFECTS, skips=lambda hypothesis: False),
+        SimpleNamespace(count=0),
+        None,
+        lambda text: None,
+    )
     made.plain = fit(1000.0, 1000.0)
     made.add(NOTHING, made.plain)
     monkeypatch.setattr(made, "reshape", lambda hypothesis, fit: (hypothesis, fit))
@@ -92,7 +97,7 @@ def test_another_form_of_the_same_effect_is_no_other(chosen):
 
 
 def test_forms_start_where_parameters_of_the_same_name_are():
-    search = SimpleNamespace(effects=EFFECTS)
+    search = SimpleNamespace(effects=EFFECTS, skips=lambda hypothesis: False)
     ((form, values),) = forms(search, Hypothesis(("drift", "slip"), ("mass",)), {"k_drift": 3.0})
     assert form == Hypothesis(("settling", "slip"), ("mass",))
     assert values == {"k_drift": 3.0, "k_settling": 3.0}

@@ -31,9 +31,7 @@ def diagnose(
     accept: Annotated[
         bool, typer.Option("--accept", help="Put the formula for what has no name into RIG/effects.toml.")
     ] = False,
-    seconds: Annotated[
-        float, typer.Option(callback=options.SECONDS, help="After so many no further hypothesis is fitted.")
-    ] = 120.0,
+    seconds: Annotated[float, words.SECONDS] = 120.0,
     jobs: words.Jobs = 1,
     backend: OnBackend = Backend.LOKY,
     scheduler: Scheduler = None,
@@ -42,7 +40,7 @@ def diagnose(
     """Name the physics that a simulation leaves out.
 
     It says where simulation and recording differ, and how much better the simulation fits with what it names.
-    Ctrl-C ends the search: what was found so far is said.
+    After --seconds, or Ctrl-C, no further hypothesis is fitted: what was found so far is said.
     docs/diagnosis.md describes the files. The exit code is 0 whatever the verdict. If one of several rigs cannot be
     diagnosed, the command says so, writes the others, and exits with 2.
     """

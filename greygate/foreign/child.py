@@ -95,6 +95,10 @@ def served(readers: Mapping[str, Callable[[], Read]], kind: str, source: str, fo
         why, code = str(error), REFUSED
     except MemoryError:
         why, code = _most(), MEMORY
+    except SystemError as error:
+        why, code = f"{error}", DAMAGED
+        if "without exception set" in why:  # what C code says that had no memory left to say so
+            why, code = _most(), MEMORY
     except ImportError as error:
         why, code = f"{error}", DAMAGED
         if resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY:
