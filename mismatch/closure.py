@@ -13,7 +13,8 @@ import numpy as np
 
 from greygate.mismatch.effects import SENSOR, Effect, Free
 from greygate.mismatch.fit import NORMAL, Fit
-from greygate.mismatch.forced import sensors
+from greygate.mismatch.forced import EXPECTED, sensors
+from greygate.mismatch.formula import ALIKE, WORTH
 from greygate.mismatch.halves import Halves
 from greygate.mismatch.libraries import Basis, declared
 from greygate.mismatch.rig import Rig
@@ -24,9 +25,6 @@ from greygate.plants.expressions import names, replaced
 
 TERMS = 4  # basis functions in a closure, at most
 SURE = 5.0  # standard deviations of a coefficient, below which its function goes again
-WORTH = 0.03  # of the misfit that a further function must remove
-ALIKE = WORTH / 3  # of the misfit, within which two sets of functions are equally good
-NOISE = 0.9  # of the cost that pure noise would have: so much counts as noise, what is above it as misfit
 CONFIDENCE_DIGITS = 4  # behind the point, of a share in diagnosis.json
 LEAST = 1e-9  # cost, in place of a misfit of 0
 
@@ -118,7 +116,7 @@ class _Unknowns:
     def chosen(self) -> tuple[str, list[str], float]:
         """(place, its functions, share of the misfit that they take) where a term removes most."""
         halves = Halves.of(self.base, self.columns)
-        noise = self.search.final.expected * NOISE / float(np.mean(self.base.temper**2))
+        noise = self.search.final.expected * EXPECTED / float(np.mean(self.base.temper**2))
         total = float(np.sum(self.base.projected**2)) - (noise + halves.saved([]) if noise else 0.0)
         best = {
             place: _subset(halves, [halves.k + j for j, key in enumerate(self.keys) if key[0] == place], total)

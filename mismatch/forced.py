@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from greygate.errors import InputError
 from greygate.mismatch.entries import SENSOR, TIME
 from greygate.mismatch.fit import Fit, tame
 from greygate.mismatch.model import TINY, Model, lagged
@@ -204,6 +205,8 @@ def _opened(plant: Plant, where: Iterable[str]) -> Plant:
     inputs, equations, definitions = dict(plant.inputs), dict(plant.equations), dict(plant.definitions)
     for place in where:
         name = FORCED + place
+        if name in plant.symbols:
+            raise InputError(f"plant {plant.name}: {name}: is the simulation's own name; rename it")
         inputs[name] = ""
         table: dict = equations if place in equations else definitions
         table[place] = replace(table[place], terms={**table[place].terms, name: name})

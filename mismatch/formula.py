@@ -290,7 +290,7 @@ class Finder:
         """Of its texts (n,): by the linearised fit to the whole recording."""
         columns = np.stack([self.forced.column(formula.place, text) for text in formula.texts], axis=2)
         units = np.array([self.forced.unit(formula.place, text) for text in formula.texts])
-        return self._solved(columns, RIDGE)[0][len(self.forced.base.unknowns) :] * units
+        return self._solved(columns)[len(self.forced.base.unknowns) :] * units
 
     def curve(self, formula: Formula) -> Curve | None:
         """What is missing over the signal of a formula, with no formula behind it; None where it has several.
@@ -303,7 +303,7 @@ class Finder:
             return None
         (v,), forced, base = signals, self.forced, self.forced.base
         columns = np.stack([forced.column(formula.place, text) for text in formula.texts], axis=2)
-        moved = base.slopes @ self._solved(columns, RIDGE)[0][: len(base.unknowns)]
+        moved = base.slopes @ self._solved(columns)[: len(base.unknowns)]
         signal, at, size = forced.signals[v], self._knots(v), forced.size[formula.place]
         hats = [forced.changed(formula.place, size * np.interp(signal, at, hat)) for hat in np.eye(len(at))]
         flat, left = np.stack(hats, axis=2).reshape(-1, len(at)), (base.projected + moved).reshape(-1)
@@ -324,8 +324,8 @@ class Finder:
             at = np.append(at[np.abs(at) > 2 * near], [-near, near])
         return np.unique(at)
 
-    def _solved(self, columns: np.ndarray, ridge: float) -> tuple[np.ndarray, np.ndarray]:
-        """(step of the parameters and of `columns` (windows, rows, n), covariance): the linearised fit."""
+    def _solved(self, columns: np.ndarray) -> np.ndarray:
+        """The step of the parameters, then of `columns` (windows, rows, n), of the linearised fit to all windows."""
         base = self.forced.base
         k, every = len(base.unknowns), np.concatenate([base.slopes, columns], axis=2)
         flat = every.reshape(-1, every.shape[2])
@@ -333,10 +333,7 @@ class Finder:
         normal[np.diag_indices(k)] += base.weight
         right[:k] -= base.weight * base.numbers
         scale = np.sqrt(np.maximum(np.diag(normal), TINY))
-        covariance = np.linalg.inv(normal / np.outer(scale, scale) + ridge * np.eye(len(right))) / np.outer(
-            scale, scale
-        )
-        return covariance @ right, covariance
+        return np.linalg.solve(normal / np.outer(scale, scale) + RIDGE * np.eye(len(right)), right / scale) / scale
 
 
 def _bare(signal: str) -> str:

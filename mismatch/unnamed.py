@@ -26,10 +26,11 @@ def unnamed(search: Search, values: Mapping[str, float] | None = None) -> tuple[
     if formula is None:
         return {"where": [], "effect": None}, None
     if not formula.shapes:
-        regime = f"the sensor: its faults take {formula.share:.0%} of the misfit"
+        share = min(formula.share, 1.0)
+        regime = f"the sensor: its faults take {share:.0%} of the misfit"
         depends_on = [formula.place[0].removeprefix(SENSOR)]
         sensor = {"equation": formula.place[0], "depends_on": depends_on, "regime": regime}
-        return {"where": [sensor], "effect": None, "share": formula.share}, None
+        return {"where": [sensor], "effect": None, "share": share}, None
     effects = dict(zip(_symbols(formula), formula.texts, strict=True))
     plain, fit = _fitted(search, finder, formula, [*effects])
     share = _removed(plain, fit)
@@ -116,9 +117,10 @@ def _removed(plain: Fit, fit: Fit) -> float:
 
 
 def _sum(texts: Sequence[str], parameters: Iterable[Mapping]) -> str:
-    """A formula with its coefficients, as a person reads it: "-0.35 V tanh(i / 0.05)"."""
+    """A formula with its coefficients, as a person reads it: "40 N s/m abs(v) - 22.5 N tanh(v / 0.005)"."""
     sizes = (f"{p['value']:.3g}{' ' * bool(p['unit'])}{p['unit']}" for p in parameters)
-    return " + ".join(size if text == ONE else f"{size} {text}" for size, text in zip(sizes, texts, strict=True))
+    parts = [size if text == ONE else f"{size} {text}" for size, text in zip(sizes, texts, strict=True)]
+    return " + ".join(parts).replace(" + -", " - ")
 
 
 def _symbols(formula: Formula) -> list[str]:

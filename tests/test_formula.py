@@ -1,15 +1,17 @@
 """A formula for what has no name: hidden terms of a motor come back in their place, on their variable, as they were."""
 
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from greygate.cli.terminal import ended_early
+from greygate.errors import InputError
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import read
-from greygate.mismatch.forced import Forced, first
+from greygate.mismatch.forced import Forced, _opened, first
 from greygate.mismatch.formula import Finder
 from greygate.mismatch.model import Model
 from greygate.mismatch.runs import Runs
@@ -155,6 +157,13 @@ def test_an_accepted_formula_is_named_as_an_effect_of_the_rigs_own_table(hidden,
     code, _, err = greygate("diagnose", rig.folder, "--accept")  # now it has a name
     assert (code, "found no formula (missing_physics): nothing was accepted" in err) == (2, True)
     assert greygate("diagnose", rig.folder, rig.folder, "--accept")[0] == 2
+
+
+def test_an_input_of_the_plant_is_not_taken_for_one_of_the_search(hidden):
+    rig = hidden("", "")
+    plant = replace(rig.plant, inputs={**rig.plant.inputs, "forced_rotor": "N m"})
+    with pytest.raises(InputError, match="forced_rotor: is the simulation's own name; rename it"):
+        _opened(plant, ["rotor"])
 
 
 def test_a_formula_that_is_refused_is_not_shown(hidden, monkeypatch):
