@@ -62,6 +62,33 @@ parameters = { mass = 2.0, b = 3.0 }
 channels.u = { unit = "N", role = "input" }
 channels.x = { unit = "m", role = "output" }
 """
+PAIR = """
+step = 1e-3
+outputs = ["x", "y"]
+inputs = { u = "N" }
+parameters = { m = [2.0, "kg"], n = [3.0, "kg"], c = [20.0, "N s/m"], k = [200.0, "N/m"] }
+[states]
+x = { unit = "m", rate = "v" }
+v = { unit = "m/s" }
+y = { unit = "m", rate = "w" }
+w = { unit = "m/s" }
+[equations]
+first.x = { speed = "v" }
+front.v = { storage = "m", pull = "u", spring = "-k * (x - y)", damper = "-c * (v - w)" }
+second.y = { speed = "w" }
+rear.w = { storage = "n", spring = "k * (x - y)", damper = "c * (v - w)", guide = "-c * w" }
+"""
+PAIR_RIG = """
+plant = "pair.toml"
+sample_time_s = 0.005
+window_s = 0.25
+predict = ["x", "y"]
+parameters = { m = 2.0, n = 3.0, c = 20.0, k = 200.0 }
+tolerance = { c = 0.1, k = 0.05 }
+channels.u = { unit = "N", role = "input" }
+channels.x = { unit = "m", role = "output", noise_rms = 1e-5 }
+channels.y = { unit = "m", role = "output", noise_rms = 1e-5 }
+"""
 SAMPLES = 1500
 
 
@@ -133,8 +160,28 @@ def test_terms_of_other_kinds_come_back_on_their_variables(hidden, place, term, 
     assert formula.share > 0.8
 
 
+def test_what_acts_between_two_bodies_acts_on_both_with_opposite_signs(tmp_path):
+    """A spring that hardens between two carriages, of which one is pulled."""
+    (tmp_path / "pair.toml").write_text(PAIR)
+    (tmp_path / "rig.toml").write_text(PAIR_RIG)
+    plant, hard = Plant.read(tmp_path / "pair.toml"), "-4e3 * (x - y)**3"
+    real = plant.with_term("front", "hidden", hard).with_term("rear", "hidden", hard.removeprefix("-"))
+    rng = np.random.default_rng(0)
+    force = np.repeat(rng.uniform(-40, 40, 40), 50)
+    run = simulate(real, {"u": force}, sample_time=5e-3, step=1e-3)
+    x, y = (run[name] + 1e-5 * rng.standard_normal(2000) for name in ("x", "y"))
+    columns = np.column_stack([np.arange(2000) * 5e-3, force, x, y])
+    np.savetxt(tmp_path / "identify.csv", columns, delimiter=",", header="t,u,x,y", comments="")
+    look = finder(rigs.load(tmp_path))
+    formula = look.found()
+    assert (formula.place, formula.texts) == (("front", "rear"), ["(x - y)**3"])
+    assert look.coefficients(formula)[0] == pytest.approx(-4e3, rel=0.1)
+
+
 def test_where_nothing_is_missing_there_is_no_formula(hidden):
-    assert finder(hidden("", "")).found() is None
+    look = finder(hidden("", ""))
+    assert look.found() is None
+    assert 0.0 < look.misfit < 0.2 * look.forced.expected  # a tenth of the noise's cost is not expected
 
 
 def test_a_run_that_leaves_the_recording_is_begun_anew_and_noise_need_not_be_told(hidden):
@@ -187,6 +234,9 @@ def test_a_run_that_begins_elsewhere_than_the_plant_says_begins_as_recorded(tmp_
     assert (first.begins, second.begins) == ([], ["x", "v"])
     predicted, counts = by_rule(second, {}, skip=20)
     assert np.abs(predicted - second.target)[counts].max() < 1e-3 * np.ptp(x)
+    place, speed = second.starts(second.values, second.inputs)[0]
+    assert place == pytest.approx(x[300], abs=1e-3 * np.ptp(x))
+    assert speed == pytest.approx((x[301] - x[299]) / 0.02, rel=0.1)
 
 
 def test_when_the_time_is_over_the_best_so_far_is_said_and_what_was_not_tried(hidden, greygate):
