@@ -2,6 +2,7 @@
 
 import signal
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from greygate.mismatch.model import Model
 from greygate.mismatch.runs import Runs
 from greygate.mismatch.search import Search
 from greygate.mismatch.several import by_rule
+from greygate.mismatch.unnamed import _removed
 from greygate.mismatch.words import lines
 from greygate.pages.diagnosis import page
 from greygate.plants.plant import Plant
@@ -158,6 +160,19 @@ def test_terms_of_other_kinds_come_back_on_their_variables(hidden, place, term, 
     assert sorted(formula.depends_on) == depends_on
     assert kind in formula.kinds
     assert formula.share > 0.8
+
+
+def test_the_share_is_of_the_runs_own_error_beyond_the_noise():
+    channels = {"a": SimpleNamespace(sigma=1.0), "b": SimpleNamespace(sigma=0.0)}
+    model = SimpleNamespace(rig=SimpleNamespace(channels=channels, predict=("a", "b")))
+
+    def fit(*rms):
+        errors = np.tile(np.array(rms), (4, 1))
+        likelihood = SimpleNamespace(model=model, sigma=np.ones((4, 2)), residual=lambda values: errors)
+        return SimpleNamespace(likelihood=likelihood, values={})
+
+    assert _removed(fit(3.0, 2.0), fit(1.0, 2.0)) == pytest.approx(0.5)  # all of a, nothing of b
+    assert _removed(fit(3.0, 2.0), fit(3.0, 9.0)) == 0.0
 
 
 def test_what_acts_between_two_bodies_acts_on_both_with_opposite_signs(tmp_path):
