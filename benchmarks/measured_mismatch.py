@@ -133,6 +133,7 @@ MAKERS: dict[str, Callable[[], tuple[Columns, Columns] | dict[str, Columns]]] = 
     "davinci": davinci,
     "crane": crane,
     "dfki": dfki,
+    "dfki-mjcf": dfki,
     "bam": bam,
 }
 

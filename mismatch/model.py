@@ -158,10 +158,11 @@ class Model:
     def _elsewhere(self, rates: Mapping[str, str]) -> list[str]:
         """Recorded states, and their rates, that do not begin at 0, where the plant's file says nothing else."""
         recorded, found = self.recording.channels, []
-        given = [s for s, state in self.plant.states.items() if state.initial == 0.0]
+        outside = self.plant.outside.stepped if self.plant.outside else ()
+        given = {s: x.initial for s, x in self.plant.states.items() if x.initial == 0.0 or s in outside}
         for symbol in (s for s in given if s in recorded and s in self.rig.channels):
             sigma = max(self.rig.channels[symbol].sigma, noise(recorded[symbol]))
-            if abs(recorded[symbol][0]) > FAR * sigma:
+            if abs(recorded[symbol][0] - given[symbol]) > FAR * sigma:
                 found.append(symbol)
         return found + [rate for rate, symbol in rates.items() if symbol in found and rate in given]
 
@@ -176,7 +177,8 @@ class Model:
         moved = [*plant.inputs, *(SENSOR + channel for channel in self.measured)]
         filters = {symbol for name in moved for _, symbols in self._filters.get(name, ()) for symbol in symbols}
         texts += [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
-        used = names(texts) | filters | {BLUR, EARLY}
+        outside = plant.outside.parameters if plant.outside else ()
+        used = names(texts) | filters | {BLUR, EARLY, *outside}
         return [s for s in plant.parameters if s in used]
 
     def _input(self, name: str, recorded: Mapping[str, np.ndarray], share: float = 1.0) -> np.ndarray:

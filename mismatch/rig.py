@@ -16,6 +16,7 @@ from greygate.mismatch.scales import noise
 from greygate.mismatch.uneven import resampled, varies
 from greygate.names import check_file_name
 from greygate.plants.expressions import check_name
+from greygate.plants.kinds import KINDS
 from greygate.plants.plant import Parameter, Plant
 from greygate.plants.recording import Recording, check_sizes, run_name
 from greygate.plants.table import CsvTable, read_table
@@ -267,12 +268,13 @@ def load(folder: Path | str) -> Rig:
     folder = Path(folder)
     path = folder / "rig.toml"
     found = table(read_toml(path, "give the folder of a rig"), f"{path}:", NEEDED, OPTIONAL, others=True)
-    plant = _plant(path, found["plant"])
+    plant = _plant(path, found["plant"], found["channels"])
     for check in (_wrong_times, _wrong_parameters, _wrong_channels, _wrong_predictions, _wrong_recordings):
         for where, problem in check(found, plant):
             raise InputError(f"{path}: {where}: {problem}")
     dt, window = found["sample_time_s"], found.get("window_s")
-    datasheet, tolerance = found["parameters"], found.get("tolerance", {})
+    tolerance = found.get("tolerance", {})
+    datasheet = found["parameters"] | {s: plant.parameters[s].value for s in tolerance if s not in found["parameters"]}
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
     parameters = {}
     for symbol, p in plant.parameters.items():
@@ -335,7 +337,7 @@ def _wrong_parameters(found: Mapping, plant: Plant) -> Mistakes:
         them = "it" if len(missing) == 1 else "them"
         yield "parameters", f"{', '.join(missing)} missing; {plant.name} needs {them}"
     for symbol in found.get("tolerance", {}):
-        if symbol not in datasheet:
+        if symbol not in (plant.parameters if plant.outside else datasheet):  # a model has the values itself
             yield f"tolerance.{symbol}", "is no entry of [parameters]; give its value there"
     for symbol in found.get("anew", ()):
         if symbol not in datasheet:
@@ -392,13 +394,13 @@ def _unit(plant: Plant, name: str) -> str | None:
         return None
 
 
-def _plant(rig: Path, name: str) -> Plant:
+def _plant(rig: Path, name: str, channels: Collection[str]) -> Plant:
     own = rig.parent / check_file_name(name, f"{rig}: plant")
     known = {path.stem: path for path in sorted(PLANTS.glob("*/*.toml"))}
-    path = own if name.endswith(".toml") else known.get(name, own)
+    path = own if own.suffix in (".toml", *KINDS) else known.get(name, own)
     if not path.exists():
         given = ", ".join(known)
         raise InputError(f"{rig}: plant {shown(name)} is unknown; give {given}, or a plant file beside rig.toml")
-    plant = Plant.read(path)
+    plant = KINDS[path.suffix].read(path, channels) if path.suffix in KINDS else Plant.read(path)
     declared(plant)
     return plant

@@ -1,7 +1,7 @@
 """A rig folder to start from, as `greygate init-rig` writes it: a placeholder plant, rig.toml and the recordings."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TypedDict
 
@@ -54,9 +54,9 @@ def init_rig(path: Path, record: str, inputs: Sequence[str], outputs: Sequence[s
         lags = {y: _lag(recording, inputs, y) for y in outputs}
         (new / "plant.toml").write_text(_plant(recording, inputs, lags), encoding="utf-8")
         (new / "rig.toml").write_text(_rig(recording, inputs, lags, held), encoding="utf-8")
-        _write(recording, (*inputs, *outputs), slice(0, split if held else None), new / IDENTIFY)
+        write(recording, (*inputs, *outputs), slice(0, split if held else None), new / IDENTIFY)
         if held:
-            _write(recording, (*inputs, *outputs), slice(split, None), new / HOLDOUT)
+            write(recording, (*inputs, *outputs), slice(split, None), new / HOLDOUT)
         load(new).to_explain()  # raises what is wrong with it before it has its name
     written = ["rig.toml", "plant.toml", IDENTIFY, *([HOLDOUT] if held else [])]
     return {"written": [str(path / n) for n in written], "next": f"greygate diagnose {path}"}
@@ -89,8 +89,8 @@ def _plant(recording: Recording, inputs: Sequence[str], lags: dict[str, dict[str
         "# storage * d(state)/dt = sum of named terms. docs/plants.md says what a plant can hold;",
         "# docs/tutorial_plant.md shows a complete one. States that are no channel are added under [states].",
         f"step = {step:.3g}  # s, of the integrator",
-        f"outputs = {_listed(lags)}",
-        f"required = {_listed(s for lag in lags.values() for s in lag)}",
+        f"outputs = {listed(lags)}",
+        f"required = {listed(s for lag in lags.values() for s in lag)}",
         "",
         "[inputs]",
         *(f'{u} = "{recording.units[u]}"' for u in inputs),
@@ -118,7 +118,7 @@ def _rig(recording: Recording, inputs: Sequence[str], lags: dict[str, dict[str, 
             if held
             else []
         ),
-        f"predict = {_listed(lags)}  # what a simulation predicts",
+        f"predict = {listed(lags)}  # what a simulation predicts",
         "",
         "[parameters]  # of the data sheet, in SI; these were read off the recording",
         *(f"{s} = {v:.6g}" for lag in lags.values() for s, v in lag.items()),
@@ -137,11 +137,11 @@ def _rig(recording: Recording, inputs: Sequence[str], lags: dict[str, dict[str, 
     return "\n".join(lines) + "\n"
 
 
-def _listed(names) -> str:
+def listed(names: Iterable[str]) -> str:
     return "[" + ", ".join(f'"{n}"' for n in names) + "]"
 
 
-def _write(recording: Recording, names: Sequence[str], part: slice, path: Path) -> None:
+def write(recording: Recording, names: Sequence[str], part: slice, path: Path) -> None:
     columns = [recording[n][part] for n in names]
     clock = recording.dt * np.arange(len(columns[0]))
     rows = zip((f"{t:.12g}" for t in clock), *(map(repr, c.tolist()) for c in columns), strict=True)

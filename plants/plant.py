@@ -18,6 +18,7 @@ from greygate.names import check_file_name
 from greygate.plants.closure import Closure, check_closure
 from greygate.plants.curves import read_curve
 from greygate.plants.expressions import check_expression, check_name, is_name, is_symbol, names, parse
+from greygate.plants.outside import Outside
 from greygate.reading import entry_of, line, listed, named, number, read_toml, table, within
 
 DERIVED = ("rate", "integral", "smooth_rate", "smooth_acceleration")  # ways to derive an input from a recorded signal
@@ -95,6 +96,7 @@ class Plant:
     step:       suitable integration step, s
     closure:    the places that may lack an unnamed term, and the functions of which such a term is made
     experiments: variable -> the experiment, in words, in which it changes alone
+    outside:    the simulator of somebody else's that steps some of the states
 
     All names are checked. Raises InputError naming plant, equation and term.
 
@@ -126,6 +128,7 @@ class Plant:
     required: tuple[str, ...] = ()
     closure: Closure = field(default_factory=Closure)
     experiments: Mapping[str, str] = field(default_factory=dict)
+    outside: Outside | None = None
 
     def __repr__(self) -> str:
         inputs = ", ".join(f"{symbol} [{unit}]" for symbol, unit in self.inputs.items())

@@ -7,7 +7,8 @@ compile again; only which terms `when(p, ...)` are off by the plant's own values
 """
 
 import types
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 
@@ -17,6 +18,7 @@ from greygate.errors import InputError
 from greygate.generated import load
 from greygate.plants.expressions import names, parse
 from greygate.plants.functions import FUNCTIONS, text
+from greygate.plants.outside import RUN, Outside
 from greygate.plants.plant import Definition, Equation, Plant, Values
 from greygate.plants.recording import Recording
 
@@ -70,17 +72,19 @@ def simulate(
     start.update(initial or {})
 
     states = np.empty((len(held), len(plant.states)))
-    symbols = list(plant.states)
-    failed = _module(source(plant)).run(
-        np.array([float(start[symbol]) for symbol in symbols]),
-        held,
-        np.array([parameter.value for parameter in plant.parameters.values()]),
-        *_bounds(plant, plant.constant),
-        _rates(plant),
-        sample_time / substeps,
-        substeps,
-        states,
-    )
+    symbols, values = list(plant.states), {symbol: p.value for symbol, p in plant.parameters.items()}
+    with _lent(plant, values, sample_time / substeps) as at:
+        failed = _module(source(plant)).run(
+            np.array([float(start[symbol]) for symbol in symbols]),
+            held,
+            np.array([*values.values()]),
+            *_bounds(plant, plant.constant),
+            _rates(plant),
+            sample_time / substeps,
+            substeps,
+            states,
+            *at,
+        )
     if failed >= 0:
         state = symbols[int(np.flatnonzero(~np.isfinite(states[failed]))[0])]
         raise InputError(
@@ -123,10 +127,11 @@ class Restarted:
         low, high = _bounds(self.plant, lambda bound: scope.evaluate(bound) if isinstance(bound, str) else bound)
         out = np.empty((len(inputs), len(self.plant.states)))
         parameters = np.array([values[symbol] for symbol in self.plant.parameters])
-        failed = self.module.restarted(
-            np.ascontiguousarray(starts, dtype=float), restarts, reset, inputs, parameters,
-            low, high, self.rate, self.step, self.substeps, out,
-        )  # fmt: skip
+        with _lent(self.plant, values, self.step) as at:
+            failed = self.module.restarted(
+                np.ascontiguousarray(starts, dtype=float), restarts, reset, inputs, parameters,
+                low, high, self.rate, self.step, self.substeps, out, *at,
+            )  # fmt: skip
         if failed >= 0:
             out[failed:] = np.nan
         return out
@@ -169,6 +174,16 @@ class Stepper:
         self._now = out[1]
 
 
+@contextmanager
+def _lent(plant: Plant, values: Mapping[str, float], step: float) -> Iterator[tuple]:
+    """What `run` takes besides, of a plant that a simulator from outside steps."""
+    if plant.outside is None:
+        yield ()
+        return
+    with plant.outside.lent(list(plant.inputs), values, step) as at:
+        yield (at,)
+
+
 def _bounds(plant: Plant, value: Callable[[float | str], float]) -> tuple[np.ndarray, np.ndarray]:
     """The lowest and the highest value of each state. value: of a bound as it is declared."""
     low = [-np.inf if state.low is None else value(state.low) for state in plant.states.values()]
@@ -206,18 +221,37 @@ def source(plant: Plant) -> str:
     runs while they stay off. It is written only from checked names and trees of checked expressions, because `Plant`
     refuses others.
     """
-    lines = ["import numpy as np", "from numba import njit", ""]
+    lines = ["import numpy as np", "from numba import njit, types", ""]
     lines += ["jit = njit(cache=True, error_model='numpy', nogil=True)", ""]
     for name in FUNCTIONS:
         if name != "when":  # `when` is written out in place
             lines += ["@jit", text(name)]
     blocks: list[str] = []
+    plant = _added(plant)
     full = _derivative("derivative", plant, blocks)
     bare = _derivative("bare", _bare(plant), []) if blocks else ["bare = derivative", ""]
     asked = [f"    _on[{i}] = {condition}" for i, condition in enumerate(blocks)]
     lines += ["@jit", "def asked(_p):", *_taken("_p", plant.parameters), f"    _on = np.empty({len(blocks)}, np.bool_)"]
     lines += [*asked, "    return _on", "", *full, *bare]
-    return "\n".join(lines) + _RUN
+    loop, at = (_RUN, "") if plant.outside is None else (_stepped(plant, plant.outside), ", at")
+    return "\n".join(lines) + _BOUNDED + loop + _RESTARTED.format(at=at)
+
+
+def _stepped(plant: Plant, of: Outside) -> str:
+    """The loop of a plant that a simulator from outside steps."""
+    moving = {*of.stepped[of.first : of.first + of.forced]}
+    used = names(t for e in plant.equations.values() if e.state in moving for t in e.terms.values())
+    used |= names(t for d in plant.needed(used) for t in d.terms.values())
+    lines = [
+        f"STEPPED, FIRST, FORCED = {len(of.stepped)}, {of.first}, {of.forced}",
+        f"RESISTING = {bool(used & moving)}",
+    ]
+    return "\n".join(["", *lines, of.source, RUN])
+
+
+def _added(plant: Plant) -> Plant:
+    """The plant without the terms that a simulator from outside computes."""
+    return plant if plant.outside is None else plant.without(*plant.outside.own)
 
 
 def _taken(array: str, symbols: Iterable[str]) -> list[str]:
@@ -312,7 +346,7 @@ def _rows() -> str:
 
 
 # Loops in place of array operations, and one call of `derivative`: numba compiles that in a third of the time.
-_RUN = f'''
+_BOUNDED = f'''
 
 @jit
 def hold(x, dx, low, high, rate, bounded):
@@ -324,7 +358,8 @@ def hold(x, dx, low, high, rate, bounded):
 
 
 WEIGHTS = np.array([{_rows()}])
-
+'''
+_RUN = '''
 
 @jit
 def run(x, inputs, parameters, low, high, rate, h, substeps, out):
@@ -377,10 +412,11 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out):
             if not np.isfinite(x[j]):
                 return sample + 1
     return -1
-
+'''
+_RESTARTED = '''
 
 @jit
-def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out):
+def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out{at}):
     """`run` piece by piece: at restarts[i] the states in `reset` become starts[i]; the others go on."""
     x = np.empty(starts.shape[1])
     for piece in range(len(restarts)):
@@ -388,7 +424,7 @@ def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, s
         last = restarts[piece + 1] + 1 if piece + 1 < len(restarts) else len(inputs)
         for j in range(len(x)):
             x[j] = starts[piece, j] if piece == 0 or reset[j] else out[first, j]
-        failed = run(x, inputs[first:last], parameters, low, high, rate, h, substeps, out[first:last])
+        failed = run(x, inputs[first:last], parameters, low, high, rate, h, substeps, out[first:last]{at})
         if failed >= 0:
             return first + failed
     return -1

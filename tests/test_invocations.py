@@ -97,6 +97,7 @@ TEXTS = {
     "offset": ["nobody", "y", ""],
     "gain": ["nobody", "y", ""],
     "settle": ["x", "", "-1", "1.5", "nan", "9" * 20, "autos"],
+    "model": ["none.xml", "folder", "a.csv", ""], "map": ["", "y", "y=", "=y", "y=u"],
     "init out": NO_NAME, "init-rig out": NO_NAME,
     "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
     "joint": ["", "v", "v=", "=hinge", "nobody=hinge", "v=a b"], "options": ["--nope", "--width=3", "--out=x"],

@@ -139,17 +139,31 @@ def init(
 
 def init_rig(
     recording: words.Recording,
-    output: Outputs,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write; it must not be there.")],
+    output: Outputs = [],
     input: Inputs = [],
+    model: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Model that simulates the machine: MJCF or URDF of MuJoCo.")
+    ] = None,
+    map: Annotated[
+        list[str], typer.Option(metavar="NAME=COLUMN", help="Column of a joint or an actuator of the model.")
+    ] = [],
     as_json: Json = False,
 ) -> None:
     """Write a rig to start from.
 
-    That is rig.toml, the recordings, and a placeholder plant to be replaced. All other channels are inputs if none is
-    given.
+    That is rig.toml, the recordings, and the model, whose joints and actuators are columns of the recording. Without
+    --model it is a placeholder plant to be replaced; all channels but --output are inputs if none is given.
     """
-    from greygate.mismatch.starting import init_rig as write
+    from greygate.mismatch import starting, starting_model
 
-    found = write(out, str(recording), input, output)
+    named = {name: column for name, _, column in (text.partition("=") for text in map)}
+    if model is None:
+        if map:
+            raise InputError("--map: names columns of a --model; give that too")
+        found = starting.init_rig(out, str(recording), input, output)
+    elif input or output:
+        raise InputError("--model: says itself what is an input and what an output; leave out --input and --output")
+    else:
+        found = starting_model.init_rig(out, str(recording), model, named)
     give("init-rig", found, as_json, [*(f"written to {file}" for file in found["written"]), f"next: {found['next']}"])

@@ -1,0 +1,157 @@
+"""A rig folder to start from a model of somebody else's and a log, as `greygate init-rig --model` writes it."""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from greygate.errors import InputError, shown
+from greygate.files import replacing_folder
+from greygate.mismatch.model import Model
+from greygate.mismatch.rig import FEWEST, HOLDOUT, IDENTIFY, SHORTEST, Rig, load
+from greygate.mismatch.scales import memory, noise
+from greygate.mismatch.starting import KEPT, RigStart, listed, write
+from greygate.names import check_name
+from greygate.plants.kinds import of_file
+from greygate.plants.plant import Plant
+from greygate.plants.readers.read import read_recording
+from greygate.plants.recording import Recording
+from greygate.progress import once
+
+TOLERANCES = {  # beginning of a parameter's name -> how uncertain it is in the field, where nobody measured it
+    "damping": 0.5,  # made up in most models
+    "frictionloss": 0.5,
+    "armature": 0.3,  # a rotor's inertia times the square of the gear ratio, seldom in a data sheet
+    "stiffness": 0.2,
+    "gain": 0.1,  # a motor constant
+    "kp": 0.1,
+    "kv": 0.2,
+    "mass": 0.05,  # of CAD, without cables and screws
+}
+MEMORIES = 2  # of the fastest position, that a window lasts: long enough to see friction, too short to diverge
+SHORT = 50  # samples of a window, at least: a fifth of them smooths its first velocity
+LOST = 0.5  # of a channel's spread, by which a free run may be off
+WINDOWS = 10  # at least, where the recording is long enough
+
+
+@dataclass(frozen=True)
+class _Log:
+    """Columns of a log by the symbols of a plant."""
+
+    recording: Recording
+    columns: Mapping[str, str]  # symbol -> column
+    plant: Plant
+
+    @property
+    def inputs(self) -> list[str]:
+        return [name for name in self.plant.inputs if name in self.columns]
+
+    @property
+    def outputs(self) -> list[str]:
+        """Positions, and the velocities of those whose position is not there."""
+        found = [s for s, state in self.plant.states.items() if s in self.columns and state.rate]
+        seen = {self.plant.states[s].rate for s in found}
+        return found + [s for s in self.plant.states if s in self.columns and s not in (*found, *seen)]
+
+
+def init_rig(path: Path, record: str, model: Path, mapped: Mapping[str, str]) -> RigStart:
+    """Write the folder of a rig whose plant a model computes; what was written, and the next command.
+
+    mapped: symbol of the plant -> column of the log, where their names differ. Raises InputError for a model that does
+    not load, a log without its inputs or without a position, and a folder that is there; nothing is written then.
+    """
+    check_name(path.name, "--out")
+    if path.exists():
+        raise InputError(f"{path}: is there already; choose another --out, or remove it")
+    recording = read_recording(record, bare=True, told=once)
+    log = _matched(recording, model, mapped)
+    split = int(KEPT * recording.samples)
+    held = recording.samples - split >= 2 * FEWEST and split >= SHORTEST
+    names = [*log.inputs, *log.outputs]
+    units = {name: log.plant.unit(name) for name in names}
+    kept = Recording(recording.dt, {n: recording[log.columns[n]] for n in names}, units, source=record)
+    with replacing_folder(path, "init-rig") as new:
+        for file in of_file(model).files(model):
+            (new / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(model.parent / file, new / file)
+        write(kept, names, slice(0, split if held else None), new / IDENTIFY)
+        if held:
+            write(kept, names, slice(split, None), new / HOLDOUT)
+        (new / "rig.toml").write_text(_rig(log, kept, model.name, held, None), encoding="utf-8")
+        rig = load(new)
+        if window := _window(log, rig, rig.to_explain()):
+            (new / "rig.toml").write_text(_rig(log, kept, model.name, held, window), encoding="utf-8")
+    written = ["rig.toml", model.name, IDENTIFY, *([HOLDOUT] if held else [])]
+    return {"written": [str(path / n) for n in written], "next": f"greygate diagnose {path}"}
+
+
+def _matched(recording: Recording, model: Path, mapped: Mapping[str, str]) -> _Log:
+    """The log's columns by the plant's symbols. Raises InputError where inputs or all positions are missing."""
+    channels = recording.channels
+    for symbol, column in mapped.items():
+        if column not in channels:
+            raise InputError(f"--map {symbol}={column}: {recording.source} has no column {column}; it has "
+                             f"{', '.join(channels)}")  # fmt: skip
+    columns = {name: name for name in channels if name not in mapped.values()} | dict(mapped)
+    plant = of_file(model).read(model, columns)
+    known = [*plant.inputs, *plant.states]
+    for symbol in mapped:
+        if symbol not in known:
+            raise InputError(f"--map {symbol}: {plant.name} has no such name; it has {', '.join(known)}")
+    log = _Log(recording, {name: column for name, column in columns.items() if name in known}, plant)
+    if missing := [name for name in plant.inputs if name not in log.columns]:
+        raise InputError(f"{recording.source}: no column for {', '.join(missing)}; give --map {missing[0]}=COLUMN, or "
+                         f"columns {', '.join(of_file(model).forces(plant))} in place of controls")  # fmt: skip
+    if not log.outputs:
+        states = ", ".join(s for s in plant.states if s not in plant.inputs)
+        raise InputError(f"{recording.source}: no column is a state of {plant.name}; give --map for one of {states}")
+    for name, column in log.columns.items():
+        if (unit := recording.units[column]) not in ("1", plant.unit(name)):
+            raise InputError(f"{recording.source}: {column} is in {shown(unit)}, {plant.name} has {name} in "
+                             f"{plant.unit(name)}; convert it, or map another column")  # fmt: skip
+    return log
+
+
+def _window(log: _Log, rig: Rig, recording: Recording) -> int | None:
+    """Samples between restarts, where a free run loses the recording and all positions are recorded; else None."""
+    positions = [s for s, state in log.plant.states.items() if state.rate]
+    if any(s not in log.columns for s in positions):
+        return None
+    model = Model(rig, recording, {})
+    off = np.sqrt(np.mean((model.predict(model.values) - model.target) ** 2, axis=0))
+    if (off < LOST * np.std(model.target, axis=0)).all():
+        return None
+    shortest = min(memory(recording[s]) for s in positions)
+    wanted = SHORT if not np.isfinite(shortest) else max(round(MEMORIES * shortest), SHORT)
+    return max(min(wanted, recording.samples // WINDOWS), FEWEST)
+
+
+def _rig(log: _Log, kept: Recording, model: str, held: bool, window: int | None) -> str:
+    settle = not window and held
+    lines = [
+        "# What is known of the machine; docs/diagnosis.md describes every entry.",
+        f'plant = "{model}"',
+        f"sample_time_s = {kept.dt!r}",
+        *([f"window_s = {window * kept.dt:.6g}  # after which a simulation begins anew as recorded"] if window else []),
+        *([f"settle_s = {FEWEST * kept.dt:.6g}  # of {HOLDOUT}: they only give its initial state"] if settle else []),
+        f"predict = {listed(log.outputs)}  # what a simulation predicts",
+        "",
+        "[parameters]  # in place of the model's own",
+        "",
+        "[tolerance]  # relative, of the model's values; a parameter that is not here is known",
+        *_tolerances(log.plant),
+    ]
+    for name in kept.channels:
+        role = "input" if name in log.inputs else "output"
+        lines += ["", f"[channels.{name}]", f'unit = "{kept.units[name]}"', f'role = "{role}"']
+        if role == "output":
+            size = float(noise(kept[name]))
+            lines.append(f"# noise_rms = {size:.2g}  # state it if you know it of the sensor; the recording shows that")
+    return "\n".join(lines) + "\n"
+
+
+def _tolerances(plant: Plant) -> Sequence[str]:
+    known = [(s, p.value, TOLERANCES.get(s.partition("_")[0])) for s, p in plant.parameters.items()]
+    return [f"{s} = {share}  # of {value:.6g} {plant.unit(s)}" for s, value, share in known if value and share]

@@ -1,0 +1,424 @@
+"""A MuJoCo model (MJCF, URDF) as a plant: MuJoCo itself steps it, called from the compiled loop.
+
+States are the positions and velocities of its joints, hinges and slides, and the activations of its actuators; inputs
+are the controls of its actuators, or the torques on its joints with the actuators switched off. Each joint is a balance
+`motion_JOINT` of forces. Parameters have MuJoCo's own names: `damping_JOINT`, `mass_BODY`, `kp_ACTUATOR`.
+"""
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from greygate.contents import contents
+from greygate.errors import InputError, brought_by, shown
+from greygate.plants.expressions import is_symbol
+from greygate.plants.plant import Equation, Parameter, Plant, State
+
+Setting = tuple[str, tuple[int, ...], float]
+"""An array of MuJoCo's model, an index there, and what the parameter is multiplied with."""
+
+TORQUE = "torque_"  # before the name of a joint: an input that acts on it
+ANGLE, WAY = ("rad", "N m", "kg m^2"), ("m", "N", "kg")  # units of a hinge and of a slide: position, force, inertia
+INERTIAL = ("body_mass", "body_inertia", "body_ipos", "dof_armature")  # after which MuJoCo's constants are set anew
+AXES = ("x", "y", "z")
+PROGRAMS = ("extension", "plugin")  # elements
+NAMING = ("include", "mesh", "hfield", "texture", "skin", "flexcomp", "model", "asset")  # elements that name files
+NAMES = ("file", "filename", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back")))
+FOLDERS = ("meshdir", "texturedir", "assetdir")
+SOURCE = """
+for_model = types.void(types.intp, types.intp)
+mj_resetData = types.ExternalFunction("mj_resetData", for_model)
+mj_forward = types.ExternalFunction("mj_forward", for_model)
+mj_Euler = types.ExternalFunction("mj_Euler", for_model)
+mj_implicit = types.ExternalFunction("mj_implicit", for_model)
+mj_RungeKutta = types.ExternalFunction("mj_RungeKutta", types.void(types.intp, types.intp, types.int32))
+FAR = 1e10  # MuJoCo's own largest number of a state: beyond it, it begins anew
+
+
+@jit
+def begin(at, x):
+    model, data, qpos, qvel, act = at[:5]
+    mj_resetData(model, data)
+    n = len(qpos)
+    for j in range(n):
+        qpos[j] = x[j]
+        qvel[j] = x[n + j]
+    for j in range(len(act)):
+        act[j] = x[2 * n + j]
+
+
+@jit
+def accelerate(at, x, u, force):
+    model, data, qpos, qvel, act, ctrl, applied, qacc = at[:8]
+    columns, n = at[11], len(qpos)
+    for j in range(2 * n):
+        if not abs(x[j]) < FAR:
+            return False
+    for j in range(len(ctrl)):
+        ctrl[j] = u[columns[j]] if columns[j] >= 0 else 0.0
+    for j in range(n):
+        applied[j] = force[n + j]
+    mj_forward(model, data)
+    for j in range(n):
+        if not abs(qacc[j]) < FAR:
+            return False
+    return True
+
+
+@jit
+def acceleration(at, i):
+    return at[7][i]
+
+
+@jit
+def mobility(at, i):
+    return at[10][i]
+
+
+@jit
+def advance(at, x, slope):
+    model, data, qpos, qvel, act = at[:5]
+    damping, own, integrator, n = at[8], at[9], at[12], len(qpos)
+    for j in range(n):
+        damping[j] = own[j] + slope[j]
+    if integrator == 0:
+        mj_Euler(model, data)
+    elif integrator == 1:
+        mj_RungeKutta(model, data, 4)
+    else:
+        mj_implicit(model, data)
+    for j in range(n):
+        damping[j] = own[j]
+        x[j] = qpos[j]
+        x[n + j] = qvel[j]
+    for j in range(len(act)):
+        x[2 * n + j] = act[j]
+"""
+
+
+@dataclass(eq=False)
+class Pair:
+    """A model and its data of MuJoCo, for one run at a time. at: what the loop takes of them, but for the inputs."""
+
+    model: Any
+    data: Any
+    at: tuple[Any, ...]
+    values: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """MuJoCo as an `Outside`. settings: parameter -> where it stands. controls: the input of each control, or ""."""
+
+    model: Any
+    stepped: tuple[str, ...]
+    forced: int
+    settings: Mapping[str, tuple[Setting, ...]]
+    own: Collection[str]
+    controls: tuple[str, ...]
+    source: str = SOURCE
+    _idle: list[Pair] = field(default_factory=list)
+
+    @property
+    def first(self) -> int:
+        return self.forced
+
+    @property
+    def parameters(self) -> Collection[str]:
+        return self.settings.keys()
+
+    @contextmanager
+    def lent(self, inputs: Sequence[str], values: Mapping[str, float], step: float) -> Iterator[tuple[Any, ...]]:
+        try:
+            pair = self._idle.pop()
+        except IndexError:
+            pair = self._pair()
+        try:
+            self._set(pair, values)
+            pair.model.opt.timestep = step
+            columns = [inputs.index(name) if name in inputs else -1 for name in self.controls]
+            own = pair.model.dof_damping.copy()
+            yield (
+                *pair.at,
+                own,
+                pair.model.dof_invweight0,
+                np.array(columns, np.int64),
+                int(self.model.opt.integrator),
+            )
+        finally:
+            self._idle.append(pair)
+
+    def _pair(self) -> Pair:
+        model = self.model.__copy__()
+        model.opt.disableflags |= _mujoco().mjtDisableBit.mjDSBL_AUTORESET  # what diverges shall say so
+        d = _mujoco().MjData(model)
+        arrays = (d.qpos, d.qvel, d.act, d.ctrl, d.qfrc_applied, d.qacc)
+        return Pair(model, d, (model._address, d._address, *arrays, model.dof_damping))
+
+    def _set(self, pair: Pair, values: Mapping[str, float]) -> None:
+        """Write what has changed since the model had it last."""
+        changed = {s: values[s] for s in self.settings if values[s] != pair.values.get(s)}
+        written = {setting[0] for s in changed for setting in self.settings[s]}
+        for symbol, value in changed.items():
+            for name, index, factor in self.settings[symbol]:
+                getattr(pair.model, name)[index] = factor * value
+        if pair.values and written & {*INERTIAL}:
+            _mujoco().mj_setConst(pair.model, pair.data)
+        pair.values.update(changed)
+
+
+@cache
+def _mujoco() -> Any:
+    """The package, its library where the compiled loop finds its functions."""
+    with brought_by("mujoco", "mujoco"):
+        import mujoco
+    from llvmlite import binding
+
+    binding.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("*mujoco*.so*"), "")))
+    return mujoco
+
+
+def read(path: Path, recorded: Collection[str]) -> Plant:
+    """The plant of a model. recorded: names of channels: the inputs are those of its controls or joint torques there.
+
+    Raises InputError for a model that does not load, or that moves by more than hinges and slides.
+    """
+    return _Reading(path, load(path), recorded).plant()
+
+
+def forces(plant: Plant) -> list[str]:
+    """The inputs that a log may have in place of controls: forces on joints."""
+    return [TORQUE + symbol for symbol, state in plant.states.items() if state.rate]
+
+
+def load(path: Path) -> Any:
+    """MuJoCo's model of a file. Raises InputError for one that it does not take, and as `files` does."""
+    mujoco = _mujoco()
+    files(path)
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(f"{path}: MuJoCo does not load it ({shown(str(error))[1:-1]}); repair the model") from None
+
+
+def files(path: Path) -> list[str]:
+    """The model's file and those that it names, by their places under its folder.
+
+    Raises InputError where it cannot be read, names a file elsewhere, or a plugin, which is a program.
+    """
+    found, left = [path.name], [path]
+    folders = [""]
+    while left:
+        root = _tree(left.pop())
+        for element in root.iter():
+            if element.tag in PROGRAMS:
+                raise InputError(
+                    f"{path}: <{element.tag}>: a plugin is a program, which a model may not run; remove it"
+                )
+            if element.tag == "compiler":
+                folders += [element.get(key, "") for key in FOLDERS]
+            for key in NAMES:
+                if (name := element.get(key)) and element.tag in NAMING:
+                    place = _inside(path, name, folders)
+                    if element.tag == "include" and place in found:
+                        raise InputError(f"{path}: {shown(name)} is included twice; include it once")
+                    if element.tag == "include" and place:
+                        left.append(path.parent / place)
+                    found += [place] if place and place not in found else []
+    return found
+
+
+def _tree(path: Path) -> ElementTree.Element:
+    try:
+        text = contents(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the model's file") from None
+    try:
+        if b"<!" in text.replace(b"<!--", b"").replace(b"<![CDATA[", b""):
+            raise InputError(f"{path}: has a <!DOCTYPE or <!ENTITY; write the model without")
+        return ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: is no XML ({error}); repair it") from None
+
+
+def _inside(path: Path, name: str, folders: Sequence[str]) -> str:
+    """Where a file that the model names lies under its folder; empty where there is none, as MuJoCo then says."""
+    package = name.startswith("package://")  # of which MuJoCo takes the last part
+    name = name.rpartition("/")[2] if package else name.replace("\\", "/")
+    home, found = path.parent.resolve(), ""
+    for folder in folders:
+        place = (home / folder / name).resolve()
+        if "://" in name or not place.is_relative_to(home):
+            raise InputError(f"{path}: {shown(name)} is not under the model's folder; put it there")
+        found = found or (place.relative_to(home).as_posix() if place.is_file() else "")
+    return found
+
+
+def symbols(names: Sequence[str], kind: str) -> list[str]:
+    """Names of a model as symbols: letters, digits and underscores, none twice; those without one are numbered."""
+    out: list[str] = []
+    for i, name in enumerate(names):
+        symbol = re.sub(r"\W", "_", name, flags=re.ASCII) or f"{kind}{i + 1}"
+        symbol = symbol if is_symbol(symbol) else f"{kind}_{symbol}"
+        while symbol in out:
+            symbol += "_"
+        out.append(symbol)
+    return out
+
+
+class _Reading:
+    """A plant while it is read from a model."""
+
+    def __init__(self, path: Path, model: Any, recorded: Collection[str]):
+        self.path, self.model, self.mujoco = path, model, _mujoco()
+        kinds = self.mujoco.mjtJoint
+        for j, kind in enumerate(map(int, model.jnt_type)):
+            if kind not in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE):
+                what = "free" if kind == kinds.mjJNT_FREE else "ball"
+                name = shown(model.joint(j).name or f"joint {j + 1}")
+                raise InputError(f"{path}: {name} is a {what} joint; give a model with hinges and slides alone")
+        if not model.njnt:
+            raise InputError(f"{path}: has no joint; give a model that moves")
+        self.joints = symbols([model.joint(j).name for j in range(model.njnt)], "joint")
+        self.bodies = symbols([model.body(b).name for b in range(model.nbody)], "body")
+        self.actuators = symbols([model.actuator(a).name for a in range(self._count())], "actuator")
+        self.units = [ANGLE if kind == kinds.mjJNT_HINGE else WAY for kind in map(int, model.jnt_type)]
+        self.parameters: dict[str, Parameter] = {}
+        self.settings: dict[str, tuple[Setting, ...]] = {}
+        self.inputs: dict[str, str] = {}
+        self.states: dict[str, State] = {}
+        self.terms: list[dict[str, str]] = [{} for _ in self.joints]
+        torques = [TORQUE + j for j in self.joints]
+        self.torques = [t for t in torques if t in recorded and not set(self.actuators) & set(recorded)]
+
+    def _count(self) -> int:
+        return int(getattr(self.model, "nactuator", self.model.nu))
+
+    def plant(self) -> Plant:
+        activations = self._states()
+        self._joints()
+        self._bodies()
+        for a in range(self._count()) if not self.torques else ():
+            self._actuator(a)
+        own = {f"motion_{j}.{term}" for j, terms in zip(self.joints, self.terms, strict=True) for term in terms}
+        for name in self.torques:
+            j = self.joints.index(name.removeprefix(TORQUE))
+            self.inputs[name] = self.units[j][1]
+            self.terms[j]["applied"] = name
+        model = self.model.__copy__()
+        if self.torques:
+            model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_ACTUATION
+        controls = ["" for _ in range(model.nu)]
+        for a, name in enumerate(self.actuators if not self.torques else ()):
+            controls[self._address(a)] = name
+        outside = Simulated(model, tuple(self.states), len(self.joints), self.settings, own, tuple(controls))
+        return Plant(
+            self.path.stem, self.parameters, self.inputs, self.states, self._equations(activations),
+            outputs=tuple(self.states), step=float(model.opt.timestep), outside=outside,
+        )  # fmt: skip
+
+    def _address(self, a: int) -> int:
+        return int(self.model.actuator_ctrladr[a]) if hasattr(self.model, "actuator_ctrladr") else a
+
+    def _states(self) -> list[str]:
+        """Enter the states; those of actuators."""
+        first = self.model.qpos0
+        for j, (name, units) in enumerate(zip(self.joints, self.units, strict=True)):
+            self.states[name] = State(units[0], initial=float(first[j]), rate=f"v_{name}")
+        for name, units in zip(self.joints, self.units, strict=True):
+            self.states[f"v_{name}"] = State(f"{units[0]}/s")
+        found = []
+        for a, name in enumerate(self.actuators):
+            for i in range(int(self.model.actuator_actnum[a])):
+                found.append(f"act_{name}" + (f"_{i + 1}" if i else ""))
+                self.states[found[-1]] = State("1")
+        return found
+
+    def _equations(self, activations: Sequence[str]) -> dict[str, Equation]:
+        found = {f"way_{j}": Equation(j, {"speed": f"v_{j}"}) for j in self.joints}
+        for j, terms in zip(self.joints, self.terms, strict=True):
+            found[f"motion_{j}"] = Equation(f"v_{j}", terms)
+        return found | {f"activation_{a}": Equation(a, {}) for a in activations}
+
+    def _enter(self, symbol: str, unit: str, *settings: Setting) -> str:
+        """A parameter with the value that it has in the model; its symbol."""
+        name, index, factor = settings[0]
+        value = float(getattr(self.model, name)[index]) / factor
+        self.parameters[symbol] = Parameter(value, unit)
+        self.settings[symbol] = settings
+        return symbol
+
+    def _joints(self) -> None:
+        for j, (name, (way, force, inertia)) in enumerate(zip(self.joints, self.units, strict=True)):
+            v, terms = f"v_{name}", self.terms[j]
+            damping = self._enter(f"damping_{name}", _over(f"{force} s", way), ("dof_damping", (j,), 1.0))
+            terms["damping"] = f"-{damping} * {v}"
+            self._enter(f"armature_{name}", inertia, ("dof_armature", (j,), 1.0))
+            loss = self._enter(f"frictionloss_{name}", force, ("dof_frictionloss", (j,), 1.0))
+            terms["frictionloss"] = f"-{loss} * sign({v})"
+            if self.model.jnt_stiffness[j]:
+                stiffness = self._enter(f"stiffness_{name}", _over(force, way), ("jnt_stiffness", (j,), 1.0))
+                terms["stiffness"] = f"-{stiffness} * ({name} - {float(self.model.qpos_spring[j])!r})"
+
+    def _bodies(self) -> None:
+        """The inertial parameters of what moves."""
+        for b, name in enumerate(self.bodies):
+            if self.model.body_weldid[b] and self.model.body_mass[b] > 0:
+                self._enter(f"mass_{name}", "kg", ("body_mass", (b,), 1.0))
+                for i, axis in enumerate(AXES):
+                    self._enter(f"inertia_{axis}_{name}", "kg m^2", ("body_inertia", (b, i), 1.0))
+                    self._enter(f"ipos_{axis}_{name}", "m", ("body_ipos", (b, i), 1.0))
+
+    def _actuator(self, a: int) -> None:
+        """Its control as an input; its parameters and its force, where it is a simple one on a joint."""
+        model, name, kinds = self.model, self.actuators[a], self.mujoco
+        gain, bias, gear = model.actuator_gainprm[a], model.actuator_biasprm[a], float(model.actuator_gear[a][0])
+        biased = int(model.actuator_biastype[a]) == kinds.mjtBias.mjBIAS_AFFINE
+        joint = int(model.actuator_trntype[a]) in (kinds.mjtTrn.mjTRN_JOINT, kinds.mjtTrn.mjTRN_JOINTINPARENT)
+        simple = joint and int(model.actuator_gaintype[a]) == kinds.mjtGain.mjGAIN_FIXED
+        simple &= biased or int(model.actuator_biastype[a]) == kinds.mjtBias.mjBIAS_NONE
+        if not simple:
+            self.inputs[name] = "1"
+            return
+        j = int(model.actuator_trnid[a][0])
+        q, v, (way, force, _) = self.joints[j], f"v_{self.joints[j]}", self.units[j]
+        length, speed = f"({gear!r} * {q})", f"({gear!r} * {v})"
+        at: Setting = ("actuator_gainprm", (a, 0), 1.0)
+        stiff, quick = (float(bias[i]) if biased else 0.0 for i in (1, 2))
+        parts = [repr(float(bias[0]))] if biased and bias[0] else []
+        if stiff and stiff == -gain[0]:  # a position controller
+            unit, k = way, self._enter(f"kp_{name}", _over(force, way), at, ("actuator_biasprm", (a, 1), -1.0))
+            parts.append(f"-{k} * {length}")
+        elif quick and quick == -gain[0]:  # a velocity controller
+            unit = f"{way}/s"
+            k = self._enter(f"kv_{name}", _over(f"{force} s", way), at, ("actuator_biasprm", (a, 2), -1.0))
+            parts, quick = [*parts, f"-{k} * {speed}"], 0.0
+        else:
+            plain = gain[0] == gear == 1.0
+            unit, k = force if plain else "1", self._enter(f"gain_{name}", "1" if plain else force, at)
+            parts += [f"{stiff!r} * {length}"] if stiff else []
+        if quick:
+            kv = self._enter(f"kv_{name}", _over(f"{force} s", way), ("actuator_biasprm", (a, 2), -1.0))
+            parts.append(f"-{kv} * {speed}")
+        self.inputs[name] = unit
+        given = f"act_{name}" if f"act_{name}" in self.states else name
+        given = _limited(given, model.actuator_ctrlrange[a]) if model.actuator_ctrllimited[a] else given
+        total = " + ".join([f"{k} * {given}", *parts])
+        total = _limited(total, model.actuator_forcerange[a]) if model.actuator_forcelimited[a] else total
+        self.terms[j][name] = f"{gear!r} * ({total})"
+
+
+def _limited(text: str, span: Any) -> str:
+    low, high = map(float, span)
+    return f"min(max({text}, {low!r}), {high!r})"
+
+
+def _over(unit: str, way: str) -> str:
+    return f"{unit}/{way}"

@@ -1,0 +1,149 @@
+"""A simulator of somebody else's: what it must answer, so that a plant's equations may be what it computes.
+
+Such a plant has the simulator's states first. In each balance of a velocity stand the terms that the simulator computes
+itself, as far as they can be said, so that a diagnosis knows of them; the others are what effects add. Over each step
+of the simulator the sum of these others acts on it as a force. So that a stiff one, such as dry friction, does not make
+the step unstable, it is taken where the step ends: as a force less a resistance times the change of the velocity.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+
+class Outside(Protocol):
+    """What a kind of simulator answers.
+
+    stepped: the plant's states that it steps, its first; the last `forced` of them that are velocities are
+    `stepped[first : first + forced]`, on each of which a force acts.
+    parameters: those of the plant that it takes. own: "equation.term" that it computes itself.
+    source: functions that numba compiles, whose `at` is what `lent` lends: `begin(at, x)` takes the states x,
+    `accelerate(at, x, u, force)` says whether all is finite, `acceleration(at, i)` of velocity i then,
+    `mobility(at, i)`: about by how much a force accelerates it, `advance(at, x, slope)` takes a step, the forces less
+    by `slope[i]` times each change of velocity; x then has the states after it.
+    """
+
+    stepped: tuple[str, ...]
+    first: int
+    forced: int
+    parameters: Collection[str]
+    own: Collection[str]
+    source: str
+
+    def lent(self, inputs: Sequence[str], values: Mapping[str, float], step: float) -> AbstractContextManager[Any]:
+        """Memory for a run in steps of `step` s, with such values of its parameters; no other run has it meanwhile.
+
+        inputs: the columns of u. What numba takes as `at`.
+        """
+        ...
+
+
+RUN = '''
+STIFF = 0.1  # of a step's change of velocity that a force resists: from there on its end is solved for
+CLOSE = 1e-3  # of that change, by which the end may be off
+ROUNDS = 30  # of halving and secants, at most
+
+
+@jit
+def summed(x, u, p, on, acting, dx):
+    """The rates of the states; for velocities of the simulator the force that effects add."""
+    if acting:
+        derivative(x, u, p, on, dx)
+    else:
+        bare(x, u, p, on, dx)
+
+
+@jit
+def ended(x, u, p, on, acting, h, trial, dx):
+    """The forces at the velocities of `trial`, states of effects moved there along over the step."""
+    n = len(x)
+    for j in range(STEPPED, n):
+        trial[j] = x[j]
+    summed(trial, u, p, on, acting, dx)
+    if STEPPED < n:
+        for j in range(STEPPED, n):
+            trial[j] = x[j] + h * dx[j]
+        summed(trial, u, p, on, acting, dx)
+
+
+@jit
+def resisted(at, x, u, p, on, acting, h, force, trial, moved, slope):
+    """By how much each force falls with its velocity, from the beginning of a step to its end."""
+    for j in range(STEPPED):
+        trial[j] = x[j]
+    for i in range(FORCED):
+        trial[FIRST + i] = x[FIRST + i] + h * acceleration(at, i)
+    ended(x, u, p, on, acting, h, trial, moved)
+    for i in range(FORCED):
+        way, change = trial[FIRST + i] - x[FIRST + i], moved[FIRST + i] - force[FIRST + i]
+        slope[i] = -change / way if change * way < 0.0 else 0.0
+    for i in range(FORCED):
+        if slope[i] * h * mobility(at, i) > STIFF:
+            for j in range(FORCED):
+                trial[FIRST + j] = x[FIRST + j]
+            slope[i] = solved(at, i, x, u, p, on, acting, h, force, trial, moved, slope[i])
+
+
+@jit
+def solved(at, i, x, u, p, on, acting, h, force, trial, moved, slope):
+    """The slope from the beginning to where the velocity i ends, by Illinois's rule of false position."""
+    j, free = FIRST + i, h * acceleration(at, i)
+    gain = h * mobility(at, i)
+    low, below, high, above = 0.0, -free, free, gain * slope * free
+    for _ in range(ROUNDS):
+        way = (low * above - high * below) / (above - below)
+        trial[j] = x[j] + way
+        ended(x, u, p, on, acting, h, trial, moved)
+        off = way - free - gain * (moved[j] - force[j])
+        if abs(off) <= CLOSE * abs(free):
+            break
+        if (off < 0.0) == (above < 0.0):
+            high, above = way, off
+            below *= 0.5
+        else:
+            low, below = way, off
+            above *= 0.5
+    return max(-(moved[j] - force[j]) / way, 0.0) if way != 0.0 else slope
+
+
+@jit
+def run(x, inputs, parameters, low, high, rate, h, substeps, out, at):
+    """Fill out[sample] with the state at each sample; return the first sample that is not finite, or -1."""
+    n = len(x)
+    k, y, force, moved, trial = np.empty((6, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    slope = np.zeros(FORCED)
+    bounded = np.array([j for j in range(STEPPED, n) if low[j] > -np.inf or high[j] < np.inf], np.int64)
+    on = asked(parameters)
+    acting = False
+    for block in on:
+        acting |= block
+    out[0] = x
+    begin(at, x)
+    for sample in range(len(inputs) - 1):
+        u = inputs[sample]
+        for _ in range(substeps):
+            summed(x, u, parameters, on, acting, force)
+            if not accelerate(at, x, u, force):
+                return sample + 1
+            if RESISTING or acting:
+                resisted(at, x, u, parameters, on, acting, h, force, trial, moved, slope)
+            advance(at, x, slope)
+            for stage in range(6 if STEPPED < n else 0):
+                for j in range(n):
+                    move = 0.0
+                    for i in range(stage if j >= STEPPED else 0):
+                        move += WEIGHTS[stage, i] * k[i, j]
+                    y[j] = x[j] + h * move
+                summed(y, u, parameters, on, acting, k[stage])
+                hold(y, k[stage], low, high, rate, bounded)
+            for j in range(STEPPED, n):
+                for i in range(6):
+                    x[j] += h * WEIGHTS[6, i] * k[i, j]
+                x[j] = min(max(x[j], low[j]), high[j])
+        for j in range(n):
+            out[sample + 1, j] = x[j]
+            if not np.isfinite(x[j]):
+                return sample + 1
+    return -1
+'''
+"""The loop of a plant that a simulator steps, beside `derivative`, `bare`, `asked` and `hold` of `simulator.source`."""

@@ -1,0 +1,252 @@
+"""A MuJoCo model as a plant: it moves as MuJoCo moves it, effects act on its joints, files stay where they are."""
+
+import json
+
+import numpy as np
+import pytest
+
+from greygate.errors import InputError
+from greygate.mismatch.model import Model
+from greygate.mismatch.rig import load
+from greygate.plants import mjcf
+from greygate.plants.simulator import simulate
+
+mujoco = pytest.importorskip("mujoco")
+
+DT, SAMPLES = 0.005, 600
+ARM = """<mujoco>
+  <option timestep="0.001" {option}/>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0" damping="0.02" frictionloss="{loss}"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/>
+      <body name="lower" pos="0 0 -0.3">
+        <joint name="el-bow" axis="0 1 0" damping="{damping}"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>{actuators}</actuator>
+</mujoco>
+"""
+MOTORS = '<motor name="m1" joint="shoulder"/><position name="m2" joint="el-bow" kp="2" kv="0.05" forcerange="-1 1"/>'
+
+
+def write(folder, name="arm.xml", option="", loss=0.01, damping=0.01, actuators=MOTORS):
+    path = folder / name
+    path.write_text(ARM.format(option=option, loss=loss, damping=damping, actuators=actuators))
+    return path
+
+
+def inputs(names):
+    t = np.arange(SAMPLES) * DT
+    return {name: 0.3 * np.sin(2.0 * t + i) + 0.1 * np.sin(11.0 * t) for i, name in enumerate(names)}
+
+
+def stepped(path, controls, act=lambda data: None):
+    """Joint positions (samples, joints) as MuJoCo itself steps them."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, out = mujoco.MjData(model), []
+    for row in np.stack([*controls.values()], axis=1):
+        out.append(data.qpos.copy())
+        data.ctrl[:] = row
+        for _ in range(round(DT / model.opt.timestep)):
+            act(data)
+            mujoco.mj_step(model, data)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("option", ["", 'integrator="implicitfast"', 'integrator="implicit"', 'integrator="RK4"'])
+def test_a_plant_from_a_model_moves_as_mujoco_moves_it_in_every_bit(tmp_path, option):
+    path, given = write(tmp_path, option=option), inputs(["m1", "m2"])
+    plant = mjcf.read(path, [*given])
+    assert list(plant.states) == ["shoulder", "el_bow", "v_shoulder", "v_el_bow"]
+    found = simulate(plant, given, sample_time=DT, step=plant.step)
+    wanted = stepped(path, given)
+    assert np.ptp(wanted, axis=0).min() > 0.1
+    assert np.array_equal(np.stack([found["shoulder"], found["el_bow"]], axis=1), wanted)
+
+
+def test_terms_and_parameters_have_mujocos_names_and_values(tmp_path):
+    plant = mjcf.read(write(tmp_path), ["m1", "m2"])
+    assert {s: plant.parameters[s].value for s in ("damping_shoulder", "frictionloss_shoulder", "kp_m2", "kv_m2")} == {
+        "damping_shoulder": 0.02, "frictionloss_shoulder": 0.01, "kp_m2": 2.0, "kv_m2": 0.05,
+    }  # fmt: skip
+    motion = plant.equations["motion_el_bow"].terms
+    assert (
+        motion["m2"] == "1.0 * (min(max(kp_m2 * m2 + -kp_m2 * (1.0 * el_bow) + -kv_m2 * (1.0 * v_el_bow), -1.0), 1.0))"
+    )
+    data = stepped_once(tmp_path / "arm.xml", {"shoulder": 0.2, "el_bow": -0.4}, {"m1": 0.3, "m2": 0.1})
+    known = {**dict.fromkeys(plant.states, 0.0), "shoulder": 0.2, "el_bow": -0.4, "m1": 0.3, "m2": 0.1}
+    for place, sum_ in (("motion_shoulder", data.qfrc_actuator[0]), ("motion_el_bow", data.qfrc_actuator[1])):
+        values = plant.values(list(plant.states), known)
+        drive = plant.equations[place].terms["m1" if place == "motion_shoulder" else "m2"]
+        scope = {**{s: p.value for s, p in plant.parameters.items()}, **known, **values}
+        from greygate.plants.expressions import parse
+
+        assert float(parse(drive).over(scope)) == pytest.approx(sum_, rel=1e-12)
+
+
+def stepped_once(path, positions, controls):
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[:], data.ctrl[:] = [*positions.values()], [*controls.values()]
+    mujoco.mj_forward(model, data)
+    return data
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_damping_as_an_effect_moves_as_mujocos_own(tmp_path, integrator):
+    """A force that falls with the velocity is taken where the step ends, as MuJoCo does with its damping."""
+    given = inputs(["m1", "m2"])
+    option = f'integrator="{integrator}"'
+    plain = mjcf.read(write(tmp_path, "plain.xml", option, damping=0.0), [*given])
+    damped = plain.with_term("motion_el_bow", "oil", "-0.3 * v_el_bow")
+    found = simulate(damped, given, sample_time=DT, step=plain.step)["el_bow"]
+    wanted = stepped(write(tmp_path, "damped.xml", option, damping=0.3), given)[:, 1]
+    assert np.abs(found - wanted).max() < 1e-9 * np.ptp(wanted)
+
+
+def test_stiff_dry_friction_holds_a_joint_still(tmp_path):
+    """Explicitly it would shake: the friction of a step turns the velocity round a hundred times over."""
+    plain = mjcf.read(write(tmp_path, loss=0.0, damping=0.0), ["m1", "m2"])
+    rough = plain.with_term("motion_el_bow", "dry", "-2.0 * tanh(v_el_bow / 1e-5)")
+    given = {"m1": np.zeros(SAMPLES), "m2": np.full(SAMPLES, 0.2)}
+    found = simulate(rough, given, sample_time=DT, step=plain.step)
+    assert np.abs(found["v_el_bow"][1:]).max() < 1e-5
+    assert np.abs(simulate(plain, given, sample_time=DT, step=plain.step)["v_el_bow"]).max() > 0.1
+
+
+def test_torques_of_a_log_take_the_place_of_controls(tmp_path):
+    path, names = write(tmp_path), ["torque_shoulder", "torque_el_bow"]
+    plant, given = mjcf.read(path, names), inputs(names)
+    assert plant.inputs == {"torque_shoulder": "N m", "torque_el_bow": "N m"}
+    found = simulate(plant, given, sample_time=DT, step=plant.step)
+    wanted = stepped(
+        write(tmp_path, "free.xml", actuators='<motor name="a" joint="shoulder"/><motor name="b" joint="el-bow"/>'),
+        given,
+    )
+    assert np.abs(found["el_bow"] - wanted[:, 1]).max() < 1e-12
+
+
+RIG = """plant = "arm.xml"
+sample_time_s = 0.005
+predict = ["shoulder", "el_bow"]
+parameters = {{}}
+tolerance = {{ {tolerance} = 0.2 }}
+channels.m1 = {{ unit = "N m", role = "input" }}
+channels.m2 = {{ unit = "rad", role = "input" }}
+channels.shoulder = {{ unit = "rad", role = "output", noise_rms = 1e-4 }}
+channels.el_bow = {{ unit = "rad", role = "output", noise_rms = 1e-4 }}
+"""
+
+
+def record(folder, path, tolerance="mass_lower"):
+    given = inputs(["m1", "m2"])
+    columns = [np.arange(SAMPLES) * DT, *given.values(), *stepped(path, given).T]
+    header = "t,m1,m2,shoulder,el_bow"
+    np.savetxt(folder / "identify.csv", np.stack(columns, axis=1), "%.17g", ",", header=header, comments="")
+    (folder / "rig.toml").write_text(RIG.format(tolerance=tolerance))
+    return load(folder)
+
+
+@pytest.mark.parametrize(
+    ("symbol", "array", "index"),
+    [
+        ("mass_lower", "body_mass", 2),
+        ("frictionloss_shoulder", "dof_frictionloss", 0),
+        ("ipos_z_lower", "body_ipos", (2, 2)),
+    ],
+)
+def test_a_released_parameter_is_written_into_the_model(tmp_path, symbol, array, index):
+    path = write(tmp_path)
+    rig = record(tmp_path, path, symbol)
+    assert [*rig.uncertain()] == [symbol]
+    model = Model(rig, rig.to_explain(), {})
+    assert np.array_equal(model.predict(model.values), model.target)
+    other = 1.2 * model.values[symbol]
+    found = model.predict({**model.values, symbol: other})
+    changed = mujoco.MjModel.from_xml_path(str(path))
+    getattr(changed, array)[index] = other
+    data = mujoco.MjData(changed)
+    mujoco.mj_setConst(changed, data)
+    mujoco.mj_resetData(changed, data)
+    wanted = []
+    for row in np.stack([model.recording["m1"], model.recording["m2"]], axis=1):
+        wanted.append(data.qpos.copy())
+        data.ctrl[:] = row
+        for _ in range(5):
+            mujoco.mj_step(changed, data)
+    assert np.abs(found - model.target).max() > 1e-3
+    assert np.abs(found - wanted).max() < 1e-12
+    assert np.array_equal(model.predict(model.values), model.target)  # and back
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("<option", '<extension><plugin plugin="mujoco.pid"/></extension><option', "a plugin is a program"),
+        ("<option", '<include file="../other.xml"/><option', "not under the model's folder"),
+        ("<option", '<asset><mesh file="http://a.b/c.stl"/></asset><option', "not under the model's folder"),
+        ('<joint name="shoulder" axis="0 1 0"', '<joint type="ball" name="shoulder"', "is a ball joint"),
+        ("<mujoco>", "<!DOCTYPE mujoco><mujoco>", "DOCTYPE"),
+        ("</mujoco>", "", "is no XML"),
+        ('axis="0 1 0"', 'axis="0 0 0"', "MuJoCo does not load it"),
+    ],
+)
+def test_a_model_that_cannot_be_is_refused_in_one_line(tmp_path, old, new, said):
+    path = write(tmp_path)
+    (tmp_path.parent / "other.xml").write_text("<mujoco/>")
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(InputError, match=said):
+        mjcf.read(path, ["m1", "m2"])
+
+
+def log(folder, path, given, columns=("m1", "m2", "q1", "q2")):
+    """log.csv of a model's own motion, its columns so named."""
+    signals = [*given.values(), *stepped(path, given).T]
+    table = np.stack([np.arange(SAMPLES) * DT, *signals], axis=1)
+    np.savetxt(folder / "log.csv", table, "%.17g", ",", header=",".join(["t", *columns]), comments="")
+
+
+MAPPED = ["--map", "shoulder=q1", "--map", "el_bow=q2"]
+
+
+def test_a_rig_from_a_model_and_a_log_runs_at_once(greygate, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    log(tmp_path, write(tmp_path), inputs(["m1", "m2"]))
+    assert greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm", *MAPPED)[0] == 0
+    rig = load("arm")
+    assert (rig.predict, rig.inputs, rig.window) == (("shoulder", "el_bow"), ("m1", "m2"), None)
+    assert {"damping_shoulder", "kp_m2", "mass_lower"} <= {*rig.uncertain()}
+    code, printed, _ = greygate("simulate", "arm", "arm/identify.csv", "--out", "sim.csv", "--json")
+    assert code == 0
+    assert all(e["rms"] < 1e-6 for e in json.loads(printed)["rms"].values())
+
+
+def test_a_run_that_loses_the_recording_begins_anew_in_windows(greygate, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = inputs(["m1", "m2"])
+    log(tmp_path, write(tmp_path, damping=0.5), given)
+    write(tmp_path, actuators=MOTORS.replace('kp="2"', 'kp="0.2"'))
+    assert greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm", *MAPPED)[0] == 0
+    assert load("arm").window == 45  # a tenth of what is explained
+
+
+@pytest.mark.parametrize(
+    ("columns", "more", "said"),
+    [
+        (("m1", "other", "q1", "q2"), MAPPED, "no column for m2; give --map m2=COLUMN, or columns torque_shoulder"),
+        (("m1", "m2", "q1", "q2"), [], "no column is a state of arm; give --map for one of shoulder, el_bow"),
+        (("m1", "m2", "q1", "q2"), ["--map", "knee=q1"], "arm has no such name; it has m1, m2, shoulder"),
+        (("m1", "m2", "q1", "q2"), ["--map", "shoulder=q3"], "log.csv has no column q3; it has m1, m2, q1, q2"),
+        (("m1", "m2", "q1 [m]", "q2"), ["--map", "shoulder=q1"], "q1 is in 'm', arm has shoulder in rad"),
+    ],
+)
+def test_a_log_that_does_not_fit_the_model_is_refused_in_one_line(greygate, tmp_path, monkeypatch, columns, more, said):
+    monkeypatch.chdir(tmp_path)
+    log(tmp_path, write(tmp_path), inputs(["m1", "m2"]), columns)
+    code, _, err = greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm", *more)
+    assert code == 2
+    assert said in err
+    assert not (tmp_path / "arm").exists()
