@@ -1,6 +1,5 @@
 """A rig folder to start from a model of somebody else's and a log, as `greygate init-rig --model` writes it."""
 
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,9 +72,9 @@ def init_rig(path: Path, record: str, model: Path, mapped: Mapping[str, str]) ->
     units = {name: log.plant.unit(name) for name in names}
     kept = Recording(recording.dt, {n: recording[log.columns[n]] for n in names}, units, source=record)
     with replacing_folder(path, "init-rig") as new:
-        for file in of_file(model).files(model):
+        for file, content in of_file(model).bundle(model).items():
             (new / file).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(model.parent / file, new / file)
+            (new / file).write_bytes(content)
         write(kept, names, slice(0, split if held else None), new / IDENTIFY)
         if held:
             write(kept, names, slice(split, None), new / HOLDOUT)
@@ -89,12 +88,13 @@ def init_rig(path: Path, record: str, model: Path, mapped: Mapping[str, str]) ->
 
 def _matched(recording: Recording, model: Path, mapped: Mapping[str, str]) -> _Log:
     """The log's columns by the plant's symbols. Raises InputError where inputs or all positions are missing."""
-    channels = recording.channels
+    channels = {**recording.channels, **dict.fromkeys(_numbered(recording), None)}
     for symbol, column in mapped.items():
         if column not in channels:
             raise InputError(f"--map {symbol}={column}: {recording.source} has no column {column}; it has "
                              f"{', '.join(channels)}")  # fmt: skip
     columns = {name: name for name in channels if name not in mapped.values()} | dict(mapped)
+    columns = {symbol: _numbered(recording).get(column, column) for symbol, column in columns.items()}
     plant = of_file(model).read(model, columns)
     known = [*plant.inputs, *plant.states]
     for symbol in mapped:
@@ -112,6 +112,11 @@ def _matched(recording: Recording, model: Path, mapped: Mapping[str, str]) -> _L
             raise InputError(f"{recording.source}: {column} is in {shown(unit)}, {plant.name} has {name} in "
                              f"{plant.unit(name)}; convert it, or map another column")  # fmt: skip
     return log
+
+
+def _numbered(recording: Recording) -> dict[str, str]:
+    """joint_1 -> joint: a header in which the reader takes the number for the unit of a plain number."""
+    return {f"{name}_1": name for name, unit in recording.units.items() if unit == "1" and name in recording.channels}
 
 
 def _window(log: _Log, rig: Rig, recording: Recording) -> int | None:

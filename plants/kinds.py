@@ -8,8 +8,8 @@ from greygate.errors import InputError
 from greygate.plants import mjcf
 
 KINDS: Mapping[str, ModuleType] = {".xml": mjcf, ".urdf": mjcf}
-"""`read(path, recorded)` is the plant of a model; `files(path)` are those that belong to it; `forces(plant)` the inputs
-that it may have in place of its own."""
+"""`read(path, recorded)` is the plant of a model; `bundle(path)` what a rig takes along of it; `forces(plant)` are the
+inputs that it may have in place of its own."""
 
 
 def of_file(path: Path) -> ModuleType:

@@ -32,6 +32,7 @@ PROGRAMS = ("extension", "plugin")  # elements
 NAMING = ("include", "mesh", "hfield", "texture", "skin", "flexcomp", "model", "asset")  # elements that name files
 NAMES = ("file", "filename", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back")))
 FOLDERS = ("meshdir", "texturedir", "assetdir")
+MESHES = (".stl", ".obj", ".msh")
 SOURCE = """
 for_model = types.void(types.intp, types.intp)
 mj_resetData = types.ExternalFunction("mj_resetData", for_model)
@@ -201,15 +202,21 @@ def forces(plant: Plant) -> list[str]:
 def load(path: Path) -> Any:
     """MuJoCo's model of a file. Raises InputError for one that it does not take, and as `files` does."""
     mujoco = _mujoco()
-    files(path)
+    content = bundle(path)
+    told = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT where one stands
     try:
+        if path.suffix == ".urdf":
+            return mujoco.MjModel.from_xml_string(content.pop(path.name).decode(), content)
         return mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, mujoco.FatalError) as error:
         raise InputError(f"{path}: MuJoCo does not load it ({shown(str(error))[1:-1]}); repair the model") from None
+    finally:
+        mujoco.set_mju_user_warning(told)
 
 
 def files(path: Path) -> list[str]:
-    """The model's file and those that it names, by their places under its folder.
+    """The file of an MJCF and those that it names, by their places under its folder.
 
     Raises InputError where it cannot be read, names a file elsewhere, or a plugin, which is a program.
     """
@@ -233,6 +240,36 @@ def files(path: Path) -> list[str]:
                         left.append(path.parent / place)
                     found += [place] if place and place not in found else []
     return found
+
+
+def bundle(path: Path) -> dict[str, bytes]:
+    """What a rig takes along of a model: place in the rig's folder -> content.
+
+    Of a URDF that is what moves and what collides, its meshes found in the packages around it; a mesh that MuJoCo does
+    not read (only STL, OBJ, MSH), or that is not there, is left out with what collides by it.
+    """
+    root = _tree(path)
+    if path.suffix != ".urdf":
+        return {place: contents(path.parent / place) for place in files(path)}
+    found: dict[str, bytes] = {}
+    for link in root.iter("link"):
+        for part in [part for part in link if part.tag in ("visual", "collision")]:
+            mesh = part.find("geometry/mesh")
+            file = None if mesh is None else _of_package(path, mesh.get("filename", ""))
+            if part.tag == "visual" or (mesh is not None and (file is None or file.suffix.lower() not in MESHES)):
+                link.remove(part)
+            elif mesh is not None and file is not None:
+                place = f"{file.parent.name}_{file.name}"
+                mesh.set("filename", place)
+                found[place] = contents(file)
+    return {path.name: ElementTree.tostring(root), **found}
+
+
+def _of_package(path: Path, name: str) -> Path | None:
+    """The file that a URDF names, in a package that lies around it."""
+    parts = name.removeprefix("package://").removeprefix("file://").strip("/").split("/")
+    places = (folder.joinpath(*parts[first:]) for folder in path.resolve().parents for first in (0, 1, 2))
+    return next((place for place in places if place.is_file()), None) if ".." not in parts else None
 
 
 def _tree(path: Path) -> ElementTree.Element:
@@ -261,13 +298,16 @@ def _inside(path: Path, name: str, folders: Sequence[str]) -> str:
     return found
 
 
-def symbols(names: Sequence[str], kind: str) -> list[str]:
-    """Names of a model as symbols: letters, digits and underscores, none twice; those without one are numbered."""
+def symbols(names: Sequence[str], kind: str, taken: Collection[str] = ()) -> list[str]:
+    """Names of a model as symbols: letters, digits and underscores, none twice; those without one are numbered.
+
+    One that is not a name, or `taken`, has its kind before it.
+    """
     out: list[str] = []
     for i, name in enumerate(names):
         symbol = re.sub(r"\W", "_", name, flags=re.ASCII) or f"{kind}{i + 1}"
-        symbol = symbol if is_symbol(symbol) else f"{kind}_{symbol}"
-        while symbol in out:
+        symbol = symbol if is_symbol(symbol) and symbol not in taken else f"{kind}_{symbol}"
+        while symbol in (*out, *taken):
             symbol += "_"
         out.append(symbol)
     return out
@@ -288,7 +328,8 @@ class _Reading:
             raise InputError(f"{path}: has no joint; give a model that moves")
         self.joints = symbols([model.joint(j).name for j in range(model.njnt)], "joint")
         self.bodies = symbols([model.body(b).name for b in range(model.nbody)], "body")
-        self.actuators = symbols([model.actuator(a).name for a in range(self._count())], "actuator")
+        states = {s for joint in self.joints for s in (joint, f"v_{joint}")}
+        self.actuators = symbols([model.actuator(a).name for a in range(self._count())], "actuator", states)
         self.units = [ANGLE if kind == kinds.mjJNT_HINGE else WAY for kind in map(int, model.jnt_type)]
         self.parameters: dict[str, Parameter] = {}
         self.settings: dict[str, tuple[Setting, ...]] = {}

@@ -23,13 +23,18 @@ class Outside(Protocol):
     by `slope[i]` times each change of velocity; x then has the states after it.
     """
 
-    stepped: tuple[str, ...]
-    first: int
-    forced: int
-    parameters: Collection[str]
-    own: Collection[str]
-    source: str
-
+    @property
+    def stepped(self) -> tuple[str, ...]: ...
+    @property
+    def first(self) -> int: ...
+    @property
+    def forced(self) -> int: ...
+    @property
+    def parameters(self) -> Collection[str]: ...
+    @property
+    def own(self) -> Collection[str]: ...
+    @property
+    def source(self) -> str: ...
     def lent(self, inputs: Sequence[str], values: Mapping[str, float], step: float) -> AbstractContextManager[Any]:
         """Memory for a run in steps of `step` s, with such values of its parameters; no other run has it meanwhile.
 

@@ -250,3 +250,50 @@ def test_a_log_that_does_not_fit_the_model_is_refused_in_one_line(greygate, tmp_
     assert code == 2
     assert said in err
     assert not (tmp_path / "arm").exists()
+
+
+def test_names_that_meet_are_told_apart_and_numbered_ones_are_read(greygate, tmp_path, monkeypatch):
+    """An actuator may have its joint's name; a reader of logs takes the number of joint_1 for a unit."""
+    monkeypatch.chdir(tmp_path)
+    motors = '<motor name="joint_1" joint="joint_1"/><motor joint="el-bow"/>'
+    path = write(tmp_path, actuators=motors)
+    path.write_text(path.read_text().replace('"shoulder"', '"joint_1"'))
+    assert list(mjcf.read(path, []).inputs) == ["actuator_joint_1", "actuator2"]
+    log(tmp_path, path, inputs(["u", "w"]), ("u", "w", "joint_1", "el_bow"))
+    words = ["--map", "actuator_joint_1=u", "--map", "actuator2=w"]
+    assert greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm", *words)[0] == 0
+    assert load("arm").predict == ("joint_1", "el_bow")
+
+
+URDF = """<robot name="arm">
+  <link name="base"/>
+  <link name="upper">
+    <visual><geometry><mesh filename="package://arm/meshes/none.dae"/></geometry></visual>
+    <collision><geometry><mesh filename="package://arm/meshes/upper.dae"/></geometry></collision>
+    <inertial><origin xyz="0 0 -0.2"/><mass value="0.5"/>
+      <inertia ixx="0.01" iyy="0.01" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <dynamics damping="0.05" friction="0.02"/></joint>
+</robot>
+"""
+
+
+def test_a_urdf_moves_under_the_torques_of_a_log(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF)
+    assert "mesh" not in mjcf.bundle(path)["arm.urdf"].decode()
+    plant = mjcf.read(path, ["torque_shoulder"])
+    assert plant.parameters["frictionloss_shoulder"].value == 0.02
+    given = {"torque_shoulder": np.full(SAMPLES, 0.3)}
+    found = simulate(plant, given, sample_time=DT, step=DT / 2)["shoulder"]
+    assert found[-1] == pytest.approx(np.arcsin(0.3 / (0.5 * 9.81 * 0.2)), abs=0.05)
+
+
+def test_what_mujoco_warns_of_leaves_no_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "arm.urdf"
+    limited = '<limit lower="1" upper="1" effort="1" velocity="1"/>'
+    path.write_text(URDF.replace("continuous", "revolute").replace("<dynamics", f"{limited}<dynamics"))
+    mjcf.read(path, [])
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
