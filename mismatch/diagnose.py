@@ -22,6 +22,7 @@ from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import excited
 from greygate.mismatch.fit import Fit
+from greygate.mismatch.misread import check
 from greygate.mismatch.model import Model
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import Rig
@@ -190,6 +191,9 @@ def _diagnosis(state: State) -> Diagnosis:
 def _supported(search: Search, progress: Progress) -> State:
     """What the recording supports, and what the gates leave of it."""
     selection = selected(search, progress)
+    if not search.checked:
+        check(search, selection.start)
+        search.checked = True
     found = selection.searched()
     claimed = selection.claimable(found)
     claims = earned(search, selection.plain, claimed.best, claimed.fit, selection.refit, progress)
