@@ -13,6 +13,7 @@ import numpy as np
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.claims import Claims
 from greygate.mismatch.coloured import Coloured, coloured_likelihood, remaining, resized
+from greygate.mismatch.evidence import unseen
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY, beginnings
 from greygate.mismatch.search import ROUGH, Hypothesis, Score, Search
@@ -21,13 +22,14 @@ from greygate.progress import Progress, silent
 
 EFFECTS = 4  # in a hypothesis, at most
 ORDERINGS = 2  # times the order of the noise is chosen: for what the data sheet's plant leaves, then for a better fit
-TRIED = 5  # hypotheses of a round that are fitted in full, by each of two scores
+TRIED, FITTED = 5, 3  # hypotheses of a round that are fitted to the run, by each of two scores; with its noise, too
+ALIKE = 0.01  # of what is unexplained: a run in longer steps of time that differs by less ranks hypotheses as well
 DRAWS = 50  # from the data sheet's tolerance, the best of which starts a fit
+RIVALS, NEAR = 4, 0.1  # of those whose run saves that much less than the best, at most so many are fitted in full
 EXCHANGED = 3  # hypotheses that are tried in the place of an earlier one
 SURE = 10.0  # of cost that an effect must save beyond what its parameters and the number of hypotheses cost
 FOLDS = 5  # of the recording, held out in turn
 BLOCKS = 4  # of a fold
-REFIT = 8  # iterations of a fit without a fold, which begins at that of the whole recording
 
 
 class ColouredSelection(Selection):
@@ -42,13 +44,25 @@ class ColouredSelection(Selection):
         super().__init__(search, calibrated.likelihood, calibrated, progress)
         self.plain, self.calibrated = calibrated, calibrated.values
         self.fits = {Hypothesis(): calibrated}
+        self.runs: dict[Hypothesis, Fit] = {}  # fitted to the run itself, as if its errors were white
         self.anew = set(beginnings(search.final.model))
 
     # -- what a diagnosis asks ---------------------------------------------------------------------------------------
 
     def searched(self) -> Found:
         best, fit = self.backward(*self.forward(Hypothesis(), self.plain, self.plain))
+        self._beside(best, fit)
         return Found(best, fit, fit, self)
+
+    def _beside(self, best: Hypothesis, fit: Fit) -> None:
+        """Fit in full what comes as near to the recording as the best: it may be a rival."""
+        if not best.size:
+            return
+        saved = self.run(Hypothesis(), self.plain).cost - self.run(best, fit).cost
+        near = {h: run for h, run in self.runs.items() if h.size == best.size and h not in self.fits}
+        for hypothesis in sorted(near, key=lambda h: near[h].cost)[:RIVALS]:
+            if near[hypothesis].cost < self.runs[best].cost + NEAR * saved and not self.search.skips(hypothesis):
+                self.fits[hypothesis] = self.fitted(fit, hypothesis, near[hypothesis].values)
 
     def claimable(self, found: Found) -> Found:
         return found
@@ -112,27 +126,59 @@ class ColouredSelection(Selection):
     def _paying(
         self, best: Hypothesis, current: Fit, ranked: list[Score], price: float
     ) -> Iterator[tuple[Hypothesis, Fit]]:
-        """The fits of `best` with one of `ranked` that save more than `price` and than their parameters cost."""
-        found = []
-        for score in ranked:
-            hypothesis = best.plus(score.hypothesis)
-            if self.search.skips(hypothesis):
-                continue
-            fit = self.fitted(current, hypothesis, score.values)
+        """The fits of `best` with one of `ranked` that save more than `price` and than their parameters cost.
+
+        That of the least error of the run comes first: an autoregression may take what is missing for noise.
+        """
+        for hypothesis, rough in self._rough(best, current, ranked)[:FITTED]:
+            fit = self.fitted(current, hypothesis, rough.values)
             if not np.isfinite(fit.cost):
                 continue
             if fit.cost < getattr(self.fits.get(hypothesis), "cost", np.inf):
                 self.fits[hypothesis] = fit
-            asked = price + _price(fit, current)
-            if current.cost - fit.cost > asked:
-                found.append((fit.cost + asked, hypothesis, fit))
-        for _, hypothesis, fit in sorted(found, key=lambda f: f[0]):
-            yield hypothesis, fit
+            if current.cost - fit.cost > price + _price(fit, current):
+                yield hypothesis, fit
+
+    def _rough(self, best: Hypothesis, current: Fit, ranked: list[Score]) -> list[tuple[Hypothesis, Fit]]:
+        """`best` with each of `ranked`, fitted to the run itself in long steps of time; the best of them first."""
+        quick = quicker(_white(current), current.values)
+        found: set[Hypothesis] = set()
+        for score in ranked:
+            hypothesis = best.plus(score.hypothesis)
+            if not self.search.skips(hypothesis):
+                found.add(self._begun(quick, hypothesis, {**current.values, **score.values}))
+        runs = {h: self.runs[h] for h in found}
+        return sorted(runs.items(), key=lambda f: f[1].cost + _price(f[1], current))
+
+    def _begun(self, quick: Coloured, hypothesis: Hypothesis, values: Mapping[str, float]) -> Hypothesis:
+        """The hypothesis, its run fitted from `values` on; that of a first effect also from the best of some draws.
+
+        The parameters of a plant that lacks something may be far off.
+        """
+        starts = [values, drawn(self.search, quick, hypothesis, values)] if hypothesis.size == 1 else [values]
+        fits = [self.search.fit(quick, hypothesis, start, enough=ROUGH) for start in starts]
+        fits += [self.runs[hypothesis]] if hypothesis in self.runs else []
+        self.runs[hypothesis] = min(fits, key=lambda f: f.cost)
+        return hypothesis
+
+    def run(self, hypothesis: Hypothesis, fit: Fit) -> Fit:
+        """The fit of a hypothesis to the run itself, near `fit`."""
+        if hypothesis not in self.runs:
+            quick = quicker(_white(fit), fit.values)
+            self.runs[hypothesis] = self.search.fit(quick, hypothesis, fit.values, enough=ROUGH)
+        return self.runs[hypothesis]
 
     def pays(self, best: Hypothesis, current: Fit, hypothesis: Hypothesis, fit: Fit) -> bool:
-        """Whether `hypothesis` predicts blocks that were held out of the fits better, and in most folds."""
-        self.progress(f"holding out blocks from {hypothesis}")
-        saved = self.saved(best, current, hypothesis, fit)
+        """Whether the run with `hypothesis` errs less on blocks that were held out of the fits, and in most folds.
+
+        The blocks of a fold are spread over the recording, so that no regime is held out entirely.
+        """
+        less, more = self.run(best, current), self.run(hypothesis, fit)
+        windows = fit.likelihood.windows
+        fold = (np.arange(windows) * FOLDS * BLOCKS // windows) % FOLDS
+        saved = np.array(
+            [unseen(less, fold != k, fold == k) - unseen(more, fold != k, fold == k) for k in range(FOLDS)]
+        )
         return float(np.sum(saved)) > 0 and int(np.sum(saved > 0)) > FOLDS / 2
 
     def exchanged(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
@@ -141,13 +187,13 @@ class ColouredSelection(Selection):
             less = best.without(drop)
             without = self.fits.get(less) or self.search.fit(current.likelihood, less, current.values)
             self.fits[less] = without
-            for score in self.promising(without, less, EXCHANGED)[0]:
-                hypothesis = less.plus(score.hypothesis)
-                if not score.hypothesis.effects or set(hypothesis.effects) == set(best.effects):
+            others = [s for s in self.promising(without, less, EXCHANGED)[0] if s.hypothesis.effects]
+            others = [s for s in others if less.plus(s.hypothesis) not in self.fits]
+            for hypothesis, rough in self._rough(less, without, others):
+                here = self.run(best, current)
+                if set(hypothesis.effects) == set(best.effects) or rough.cost + _price(rough, here) > here.cost:
                     continue
-                if hypothesis in self.fits or self.search.skips(hypothesis):
-                    continue
-                other = self.fits[hypothesis] = self.fitted(without, hypothesis, score.values)
+                other = self.fits[hypothesis] = self.fitted(without, hypothesis, rough.values)
                 if other.cost + _price(other, current) < current.cost:
                     best, current = hypothesis, other
         return best, current
@@ -185,47 +231,16 @@ class ColouredSelection(Selection):
         return any(self.search.effects[key].rare for key in score.hypothesis.effects)
 
     def fitted(self, fit: Fit, hypothesis: Hypothesis, values: Mapping[str, float]) -> Fit:
-        """The best of several fits from `values` on: with the noise of `fit`, and with white noise first.
-
-        The first effect has a third fit, from the best draw from the data sheet: the parameters of a plant that lacks
-        something may be far off.
-        """
+        """The better of two fits from `values` on: with the noise of `fit`, and with white noise first."""
         search, start = self.search, {**fit.values, **values}
         found = [search.fit(fit.likelihood, hypothesis, start, enough=ROUGH)]
-        white = _white(fit)
-        starts = [start]
-        if hypothesis.size == 1:
-            starts.append(drawn(search, white, hypothesis, values))
-        for start in starts:
-            plain = search.fit(white, hypothesis, start, enough=ROUGH)
-            if np.isfinite(plain.cost):
-                order = coloured_likelihood(fit).order
-                coloured = coloured_likelihood(plain).learnt(plain.likelihood.residual(plain.values), order)
-                found.append(search.fit(coloured, hypothesis, plain.values, enough=ROUGH))
+        plain = search.fit(_white(fit), hypothesis, start, enough=ROUGH)
+        if np.isfinite(plain.cost):
+            order = coloured_likelihood(fit).order
+            coloured = coloured_likelihood(plain).learnt(plain.likelihood.residual(plain.values), order)
+            found.append(search.fit(coloured, hypothesis, plain.values, enough=ROUGH))
         best = min(found, key=lambda f: f.cost)
         return search.led(best) if np.isfinite(best.cost) else best
-
-    def saved(self, less: Hypothesis, fit: Fit, more: Hypothesis, richer: Fit) -> np.ndarray:
-        """Cost that `more` saves over `less` in each fold (FOLDS,), held out of the fits of both.
-
-        The blocks of a fold are spread over the recording, so that no regime is held out entirely.
-        """
-        mask = coloured_likelihood(fit).mask
-        fold = (np.arange(len(mask)) * FOLDS * BLOCKS // len(mask)) % FOLDS
-        costs = [
-            [self._unseen(mask & (fold == k), hypothesis, full) for hypothesis, full in ((less, fit), (more, richer))]
-            for k in range(FOLDS)
-        ]
-        return np.array([without - with_ for without, with_ in costs])
-
-    def _unseen(self, block: np.ndarray, hypothesis: Hypothesis, full: Fit) -> float:
-        """Cost in `block` (samples,) of a fit to all other samples, which starts at `full`."""
-        others = copy.copy(coloured_likelihood(full))
-        others.mask = others.mask & ~block
-        fit = self.search.fit(others, hypothesis, full.values, iterations=REFIT)
-        judge = copy.copy(coloured_likelihood(fit))
-        judge.mask = block
-        return float(np.sum(judge.errors(fit.values, fit.shifts) ** 2)) + judge.deviance()
 
 
 def selected(search: Search, progress: Progress = silent) -> Selection:
@@ -243,6 +258,17 @@ def _calibrated(search: Search) -> Fit:
         likelihood = coloured_likelihood(fit).ordered(fit.likelihood.residual(fit.values))
         fit = search.fit(likelihood, nothing, fit.values)
     return fit
+
+
+def quicker(likelihood: Coloured, values: Mapping[str, float]) -> Coloured:
+    """A likelihood in the longest steps of time in which the run is practically the same."""
+    model, other = likelihood.model, copy.copy(likelihood)
+    error = np.std(likelihood.residual(values), axis=0)
+    for steps in model.longer_steps:
+        other.model = model.in_steps(steps)
+        if np.all(np.std(other.residual(values) - likelihood.residual(values), axis=0) <= ALIKE * error):
+            return other
+    return likelihood
 
 
 def _white(fit: Fit) -> Coloured:

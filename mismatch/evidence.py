@@ -55,7 +55,7 @@ def evidence(without: Fit, fit: Fit, wider: float = 1.0, exact: bool = False) ->
     likelihood = fit.likelihood
     turns = likelihood.turns(HELD, FOLDS if exact else 2)
     parts = [turns == k for k in np.unique(turns)]
-    gains = np.array([_before(without, judge) - _after(fit, ~judge, judge, exact) for judge in parts])
+    gains = np.array([_before(without, judge) - unseen(fit, ~judge, judge, exact) for judge in parts])
     logs = gains / 2 / wider
     top = float(logs.max())
     if not np.isfinite(top):
@@ -63,13 +63,8 @@ def evidence(without: Fit, fit: Fit, wider: float = 1.0, exact: bool = False) ->
     return Evidence(top + float(np.log(np.mean(np.exp(logs - top)))), float(np.sum(gains)), float(logs.min()))
 
 
-def _before(fit: Fit, judge: np.ndarray) -> float:
-    """-2 log likelihood of the windows `judge` (windows,) of bool, with the parameters of the fit to all."""
-    return float(np.sum(fit.projected[judge] ** 2)) + _deviance(fit, judge)
-
-
-def _after(fit: Fit, learn: np.ndarray, judge: np.ndarray, exact: bool) -> float:
-    """The same with the parameters that the windows `learn` alone give."""
+def unseen(fit: Fit, learn: np.ndarray, judge: np.ndarray, exact: bool = False) -> float:
+    """-2 log likelihood of the windows `judge` (windows,) of bool, with the parameters that `learn` alone give."""
     if not exact:
         return fit.judged(learn, judge) + _deviance(fit, judge)
     likelihood = fit.likelihood
@@ -78,6 +73,11 @@ def _after(fit: Fit, learn: np.ndarray, judge: np.ndarray, exact: bool) -> float
     learnt = Likelihood.fit(likelihood.without(held), fit.unknowns, fit.values, fit.shifts, iterations=REFIT)
     errors = likelihood.errors(learnt.values, fit.shifts)
     return _before(replace(fit, numbers=learnt.numbers, errors=errors), judge)
+
+
+def _before(fit: Fit, judge: np.ndarray) -> float:
+    """The same with the parameters of the fit to all."""
+    return float(np.sum(fit.projected[judge] ** 2)) + _deviance(fit, judge)
 
 
 def _deviance(fit: Fit, judge: np.ndarray) -> float:

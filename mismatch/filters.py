@@ -7,6 +7,7 @@ instant, so that a filter of it interpolates. The first parameter of each is its
 from collections.abc import Callable
 
 import numpy as np
+from numba import njit
 from scipy.signal import lfilter, lfiltic
 
 SHORTEST = 2.0  # samples of a period: a resonance above is none
@@ -19,11 +20,17 @@ def saturated(signal: np.ndarray, share: float, level: float, dt: float) -> np.n
 
 def rate_limited(signal: np.ndarray, share: float, rate: float, dt: float) -> np.ndarray:
     """An input of which `share` follows no faster than `rate` per second."""
-    out, at, step = np.empty_like(signal), signal[0], abs(rate) * dt
-    for k, x in enumerate(signal.tolist()):
+    return signal + share * (_stepped(signal, abs(rate) * dt) - signal)
+
+
+@njit(cache=True, nogil=True)
+def _stepped(signal: np.ndarray, step: float) -> np.ndarray:
+    """What follows a signal by no more than `step` a sample."""
+    out, at = np.empty_like(signal), signal[0]
+    for k, x in enumerate(signal):
         at = min(max(x, at - step), at + step)
         out[k] = at
-    return signal + share * (out - signal)
+    return out
 
 
 def quantized(signal: np.ndarray, share: float, step: float, dt: float) -> np.ndarray:
@@ -92,9 +99,15 @@ def lost(signal: np.ndarray, span: float, since: float, dt: float) -> np.ndarray
 
 
 def loose(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
-    """A reading behind a play of half width `width`; at the first sample it stands in the middle."""
-    out, at, width = np.empty_like(signal), signal[0], abs(width)
-    for k, x in enumerate(signal.tolist()):
+    """A signal behind a play of half width `width`; at the first sample it stands in the middle."""
+    return _dragged(signal, abs(width))
+
+
+@njit(cache=True, nogil=True)
+def _dragged(signal: np.ndarray, width: float) -> np.ndarray:
+    """What a signal takes along that has so much room on either side."""
+    out, at = np.empty_like(signal), signal[0]
+    for k, x in enumerate(signal):
         at = min(max(at, x - width), x + width)
         out[k] = at
     return out

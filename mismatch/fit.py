@@ -122,6 +122,16 @@ class Fit:
         rows = self.likelihood.rows(self.errors, self.temper)[:, :, None]
         return self.likelihood.eliminate(rows, tail, self.basis)[0][:, :, 0]
 
+    @property
+    def flat(self) -> np.ndarray:
+        """The slopes of all windows, one below the other (windows * rows, k)."""
+        return self.slopes.reshape(self.projected.size, len(self.unknowns))
+
+    @cached_property
+    def normal(self) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrix (k, k) and right side (k,) of the linearised fit, without the prior."""
+        return self.flat.T @ self.flat, -(self.flat.T @ self.projected.reshape(-1))
+
     @cached_property
     def values(self) -> dict[str, float]:
         """Value of every unknown and of what was fixed."""
@@ -130,8 +140,7 @@ class Fit:
     @cached_property
     def information(self) -> np.ndarray:
         """Of the numbers, prior included, if the errors are white and of unit variance (k, k)."""
-        flat = self.slopes.reshape(-1, len(self.numbers))
-        return flat.T @ flat + np.diag(self.weight)
+        return self.normal[0] + np.diag(self.weight)
 
     @cached_property
     def covariance(self) -> np.ndarray:

@@ -33,11 +33,14 @@ def saving(fit: Fit) -> float:
 
 def _normal(fit: Fit, columns: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrix (k + n, k + n) and right side (k + n,) of the unknowns and of `columns`."""
-    k = len(fit.unknowns)
-    flat = np.concatenate([fit.slopes, columns], axis=2).reshape(-1, k + columns.shape[2])
-    normal, right = flat.T @ flat, -(flat.T @ fit.projected.reshape(-1))
-    normal[np.diag_indices(k)] += weight
-    right[:k] -= weight * fit.numbers
+    k, n = len(fit.unknowns), columns.shape[2]
+    own, pull = fit.normal
+    normal, right = np.empty((k + n, k + n)), np.empty(k + n)
+    flat = columns.reshape(fit.projected.size, n)
+    normal[:k, :k], normal[k:, k:] = own + np.diag(weight), flat.T @ flat
+    normal[k:, :k] = flat.T @ fit.flat
+    normal[:k, k:] = normal[k:, :k].T
+    right[:k], right[k:] = pull - weight * fit.numbers, -(flat.T @ fit.projected.reshape(-1))
     return normal, right
 
 

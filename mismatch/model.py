@@ -122,6 +122,19 @@ class Model:
         other._take(recording, self.window)
         return other
 
+    @property
+    def longer_steps(self) -> list[int]:
+        """How many steps an unchanging input may be integrated in, fewer than now, in rising order."""
+        steps = self._compiled.substeps
+        return [n for n in range(1, steps) if steps % n == 0]
+
+    def in_steps(self, steps: int) -> "Model":
+        """The same model, an unchanging input integrated in so many steps."""
+        other = copy.copy(self)
+        other._compiled = self._compiled.in_steps(steps)
+        other._last = (None, np.empty((0, 0)))
+        return other
+
     def driven(self, name: str, signal: np.ndarray) -> "Model":
         """The same model with another signal (samples,) in the place of an input that nothing filters."""
         other = copy.copy(self)
@@ -449,16 +462,6 @@ def dead_band(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
     return np.sign(signal) * np.maximum(np.abs(signal) - width, 0.0)
 
 
-def backlash(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
-    """An input behind a backlash of half width `width`; at the first sample it stands in the middle."""
-    out = np.empty_like(signal)
-    at = signal[0]
-    for k, x in enumerate(signal.tolist()):
-        at = min(max(at, x - width), x + width)
-        out[k] = at
-    return out
-
-
 FILTERS: dict[str, Callable[..., np.ndarray]] = {
     "delay": delayed,
     "lag": lagged,
@@ -466,7 +469,7 @@ FILTERS: dict[str, Callable[..., np.ndarray]] = {
     "lag_twice_from_rest": lambda signal, lag, dt: lagged(lagged(signal, lag / 2, dt, 0.0), lag / 2, dt, 0.0),
     "offset": lambda signal, by, dt: signal + by,
     "dead_zone": dead_band,
-    "play": backlash,
+    "play": of.loose,
     "skew": lambda signal, by, dt: signal + by * np.abs(signal),
     **of.INPUT,
 }

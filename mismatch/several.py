@@ -51,6 +51,11 @@ class Several(Model):
         other._take(recording, self.window)
         return other
 
+    def in_steps(self, steps: int) -> Model:
+        other = copy.copy(self)
+        other.all = [m.in_steps(steps) for m in self.all]
+        return other
+
     def driven(self, name: str, signal: np.ndarray) -> Model:
         other = copy.copy(self)
         other._inputs = {**self._inputs, name: signal}

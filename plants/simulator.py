@@ -6,6 +6,7 @@ a plant is compiled once on a computer. Parameters, limits and initial states ar
 compile again; only which terms `when(p, ...)` are off by the plant's own values stands in the source.
 """
 
+import copy
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -106,6 +107,12 @@ class Restarted:
         self.step = sample_time / self.substeps
         self.rate = _rates(plant)
         self.module = _module(source(plant))
+
+    def in_steps(self, substeps: int) -> "Restarted":
+        """The same plant in so many steps a sample."""
+        other = copy.copy(self)
+        other.substeps, other.step = substeps, self.step * self.substeps / substeps
+        return other
 
     def run(
         self,
