@@ -22,10 +22,10 @@ from greygate.progress import Progress, silent
 
 EFFECTS = 4  # in a hypothesis, at most
 ORDERINGS = 2  # times the order of the noise is chosen: for what the data sheet's plant leaves, then for a better fit
-TRIED, FITTED = 5, 3  # hypotheses of a round that are fitted to the run, by each of two scores; with its noise, too
+TRIED, FITTED = 5, 4  # hypotheses of a round that are fitted to the run, by each of two scores; with its noise, too
 ALIKE = 0.01  # of what is unexplained: a run in longer steps of time that differs by less ranks hypotheses as well
 DRAWS = 50  # from the data sheet's tolerance, the best of which starts a fit
-RIVALS, NEAR = 4, 0.1  # of those whose run saves that much less than the best, at most so many are fitted in full
+RIVALS, NEAR = 4, 0.1  # of what the best run saves, within which others are rivals; so many are fitted in full
 EXCHANGED = 3  # hypotheses that are tried in the place of an earlier one
 SURE = 10.0  # of cost that an effect must save beyond what its parameters and the number of hypotheses cost
 FOLDS = 5  # of the recording, held out in turn
@@ -128,16 +128,24 @@ class ColouredSelection(Selection):
     ) -> Iterator[tuple[Hypothesis, Fit]]:
         """The fits of `best` with one of `ranked` that save more than `price` and than their parameters cost.
 
-        That of the least error of the run comes first: an autoregression may take what is missing for noise.
+        Those whose run errs least come first: an autoregression may take what is missing for noise. Of runs that do
+        nearly alike it says which is likelier.
         """
-        for hypothesis, rough in self._rough(best, current, ranked)[:FITTED]:
-            fit = self.fitted(current, hypothesis, rough.values)
-            if not np.isfinite(fit.cost):
-                continue
+        rough = self._rough(best, current, ranked)[:FITTED]
+        if not rough:
+            return
+        before = self.run(best, current).cost
+        near = (1.0 - NEAR) * (before - rough[0][1].cost)
+        found = []
+        for hypothesis, run in rough:
+            fit = self.fitted(current, hypothesis, run.values)
             if fit.cost < getattr(self.fits.get(hypothesis), "cost", np.inf):
                 self.fits[hypothesis] = fit
-            if current.cost - fit.cost > price + _price(fit, current):
-                yield hypothesis, fit
+            asked = price + _price(fit, current)
+            if current.cost - fit.cost > asked:
+                found.append((before - run.cost < near, fit.cost + asked, hypothesis, fit))
+        for *_, hypothesis, fit in sorted(found, key=lambda f: f[:2]):
+            yield hypothesis, fit
 
     def _rough(self, best: Hypothesis, current: Fit, ranked: list[Score]) -> list[tuple[Hypothesis, Fit]]:
         """`best` with each of `ranked`, fitted to the run itself in long steps of time; the best of them first."""

@@ -43,7 +43,8 @@ ENOUGH = 0.05  # of cost, a twentieth of what noise alone makes of one parameter
 RIDGE = 1e-9  # added to the curvature of each number, far below a prior's: what does not act on the errors stays
 STRAIGHT = 0.7  # share of the promised gain from which the linearisation still serves; a new one costs k + 1 runs
 HOPED = 2.0  # times the gain of its last step, that a fit may still gain: near its end steps gain ever less
-NEAR = 1.1  # times the rival's cost: a fit that is not hoped to come below gives up
+NEAR = 0.1  # of what the rival's cost exceeds that of noise: a fit that is not hoped to come so near gives up,
+FAR = 100.0  # or farther than this cost, which is more than any evidence asked for
 
 
 @dataclass(frozen=True)
@@ -443,7 +444,7 @@ class _Descent:
             damping.fall()
             if gain < max(enough, slack * (point.cost - self.likelihood.count)):
                 return True
-            if iteration and point.cost - HOPED * gain > NEAR * rival:
+            if iteration and point.cost - HOPED * gain > rival + max(NEAR * (rival - self.likelihood.count), FAR):
                 return False
             if gain < STRAIGHT * promised or damping.value > 0:
                 linear = None

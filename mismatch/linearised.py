@@ -5,6 +5,7 @@ a fit has, which may move along with them.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -31,59 +32,72 @@ def saving(fit: Fit) -> float:
     return solve(fit, nothing(fit), fit.room, fit.weight)[1]
 
 
-def _normal(fit: Fit, columns: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix (k + n, k + n) and right side (k + n,) of the unknowns and of `columns`."""
-    k, n = len(fit.unknowns), columns.shape[2]
-    own, pull = fit.normal
-    normal, right = np.empty((k + n, k + n)), np.empty(k + n)
-    flat = columns.reshape(fit.projected.size, n)
-    normal[:k, :k], normal[k:, k:] = own + np.diag(weight), flat.T @ flat
-    normal[k:, :k] = flat.T @ fit.flat
-    normal[:k, k:] = normal[k:, :k].T
-    right[:k], right[k:] = pull - weight * fit.numbers, -(flat.T @ fit.projected.reshape(-1))
-    return normal, right
+@dataclass(frozen=True)
+class Normal:
+    """The normal matrix (k + n, k + n) and right side (k + n,) of the unknowns of a fit and of `columns`, no prior."""
+
+    fit: Fit
+    matrix: np.ndarray
+    right: np.ndarray
+
+    @classmethod
+    def of(cls, fit: Fit, columns: np.ndarray) -> "Normal":
+        k, n = len(fit.unknowns), columns.shape[2]
+        flat, matrix = columns.reshape(fit.projected.size, n), np.empty((k + n, k + n))
+        matrix[:k, :k], matrix[k:, k:], matrix[k:, :k] = fit.normal[0], flat.T @ flat, flat.T @ fit.flat
+        matrix[:k, k:] = matrix[k:, :k].T
+        return cls(fit, matrix, np.append(fit.normal[1], -(flat.T @ fit.projected.reshape(-1))))
+
+    def weighed(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and right side with the prior of the unknowns."""
+        k, matrix, right = len(weight), self.matrix.copy(), self.right.copy()
+        matrix[np.diag_indices(k)] += weight
+        right[:k] -= weight * self.fit.numbers
+        return matrix, right
 
 
-def pair_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int]) -> np.ndarray:
+def pair_gains(normal: Normal, widths: Sequence[int]) -> np.ndarray:
     """The cost that every two of m blocks of columns save beside the unknowns, without bounds (m, m).
 
     widths: how many columns each block has.
     """
-    normal, right, place, own = _blocks(*_beyond(fit, *_normal(fit, columns, fit.weight))[:2], widths)
+    matrix, right, place, own = _blocks(*_beyond(normal, normal.fit.weight)[:2], widths)
     alone = _saved(own, right)
     out = np.empty((len(widths), len(widths)))
     for i in range(len(widths)):
-        across = normal[place[:, :, None], place[i]]
+        across = matrix[place[:, :, None], place[i]]
         by = across @ np.linalg.inv(own[i])
         rest, pull = own - by @ np.swapaxes(across, 1, 2), right - by @ right[i]
         out[i] = alone[i] + _saved(rest, pull)
     return out
 
 
-def released_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int], released: int) -> np.ndarray:
+def released_gains(normal: Normal, widths: Sequence[int], released: int) -> np.ndarray:
     """The cost that each of m blocks saves together with an unknown freed of its prior, without bounds (m,).
 
     released: the index of that unknown. The gain is beyond what all unknowns save with their priors.
     """
+    fit = normal.fit
     weight, prior = fit.weight.copy(), float(fit.weight[released] * fit.numbers[released] ** 2)
-    with_prior = _beyond(fit, *_normal(fit, nothing(fit), weight))[2]
+    with_prior = _beyond(normal, weight)[2]
     weight[released] = 0.0
-    normal, right, saved = _beyond(fit, *_normal(fit, columns, weight))
-    _, right, _, own = _blocks(normal, right, widths)
+    matrix, right, saved = _beyond(normal, weight)
+    _, right, _, own = _blocks(matrix, right, widths)
     return _saved(own, right) + saved + prior - with_prior
 
 
-def _beyond(fit: Fit, normal: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _beyond(normal: Normal, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """(normal matrix (n, n) and right side (n,) of the columns, the unknowns eliminated; what those save alone).
 
     Each column is of unit length.
     """
-    k = len(fit.unknowns)
-    scale = np.sqrt(np.maximum(np.diag(normal), TINY))
-    normal, right = normal / np.outer(scale, scale), right / scale
-    known = np.linalg.solve(normal[:k, :k] + RIDGE * np.eye(k), np.column_stack([normal[:k], right[:k]]))
+    k = len(weight)
+    matrix, right = normal.weighed(weight)
+    scale = np.sqrt(np.maximum(np.diag(matrix), TINY))
+    matrix, right = matrix / np.outer(scale, scale), right / scale
+    known = np.linalg.solve(matrix[:k, :k] + RIDGE * np.eye(k), np.column_stack([matrix[:k], right[:k]]))
     saved = float(right[:k] @ known[:, -1])
-    return normal[k:, k:] - normal[k:, :k] @ known[:, k:-1], right[k:] - normal[k:, :k] @ known[:, -1], saved
+    return matrix[k:, k:] - matrix[k:, :k] @ known[:, k:-1], right[k:] - matrix[k:, :k] @ known[:, -1], saved
 
 
 def _blocks(normal: np.ndarray, right: np.ndarray, widths: Sequence[int]) -> tuple[np.ndarray, ...]:
@@ -106,10 +120,13 @@ def _saved(own: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 def solve(fit: Fit, columns: np.ndarray, bounds: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
     """(step of the unknowns and of `columns`, cost that it saves): the linearised fit within `bounds` (k + n, 2)."""
-    normal, right = _normal(fit, columns, weight)
+    normal, right = Normal.of(fit, columns).weighed(weight)
     scale = np.sqrt(np.maximum(np.diag(normal), TINY))
     normal, right = normal / np.outer(scale, scale), right / scale
     root = np.linalg.cholesky(normal + RIDGE * np.eye(len(normal)))
     low, high = (bounds * scale[:, None]).T
-    found = lsq_linear(root.T, np.linalg.solve(root, right), (low - BOUND_SLACK, high + BOUND_SLACK)).x
+    inner = np.linalg.solve(root, right)
+    found = np.linalg.solve(root.T, inner)
+    if not np.all((low <= found) & (found <= high)):
+        found = lsq_linear(root.T, inner, (low - BOUND_SLACK, high + BOUND_SLACK)).x
     return found / scale, float(2 * right @ found - found @ normal @ found)

@@ -15,7 +15,7 @@ from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.cores import each
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
-from greygate.mismatch.linearised import index, nothing, pair_gains, released_gains, saving, solve
+from greygate.mismatch.linearised import Normal, index, nothing, pair_gains, released_gains, saving, solve
 from greygate.mismatch.model import BLUR, EARLY, MOST_EARLY, TIMING, TINY
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import FEWEST, IN, Rig
@@ -33,7 +33,7 @@ EXACT, FARTHEST = 0.01, 0.05  # of a sample, RMS and at most: the uncertainty of
 MOVED = 4.0  # standard deviations, by which inputs must act early to have moved between the samples;
 MIDDLE, SPREAD = MOST_EARLY / 2, MOST_EARLY * 12**-0.5  # then they are early by any part, up to the most, alike
 ROUGH = 2.0  # of cost: a fit that only ranks stops when a step gains less
-SLACK = 3e-4  # of the cost beyond that of noise: likewise
+SLACK, LAST_SLACK = 5e-3, 1e-3  # of the cost beyond that of noise: likewise; of any other fit
 ADDED, LATE = "offset", "delay"  # the filters that add a constant, and that move all in time
 TIMELESS = "dead_zone", "skew", "saturation", "quantum"  # filters without memory: before a delay or behind it, alike
 LOST = 0.3  # of a channel's spread, above which its error says that the run is elsewhere
@@ -252,8 +252,9 @@ class Search:
         blocks = [(effect, *found) for effect in effects for found in self.directions(likelihood, fit, effect)]
         if not blocks:
             return []
-        columns, widths = np.concatenate([b[-1] for b in blocks], axis=2), [b[-1].shape[2] for b in blocks]
-        gains = pair_gains(fit, columns, widths)
+        normal = Normal.of(fit, np.concatenate([b[-1] for b in blocks], axis=2))
+        widths = [b[-1].shape[2] for b in blocks]
+        gains = pair_gains(normal, widths)
         two, beside = [], []
         for one, other in combinations(effects, 2):
             if self.joined(Hypothesis((one.key,)), other):
@@ -264,7 +265,7 @@ class Search:
                 i, j = np.unravel_index(np.argmax(part), part.shape)
                 two.append((part[i, j], (mine[i], others[j]), ""))
         for symbol in self.toleranced:
-            gains = released_gains(fit, columns, widths, index(fit, symbol))
+            gains = released_gains(normal, widths, index(fit, symbol))
             for effect in effects:
                 mine = np.flatnonzero([b[0] is effect for b in blocks])
                 if mine.size:
@@ -429,6 +430,7 @@ class Search:
         start.update(self.constants(hypothesis))
         if likelihood is self.screen and likelihood is not self.final:
             options = {"enough": ROUGH, "slack": SLACK, **options}
+        options = {"slack": LAST_SLACK, **options}
         return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
 
 

@@ -21,7 +21,7 @@ from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import BLUR, TINY
 from greygate.mismatch.noise import Noise, learnt
-from greygate.mismatch.search import Hypothesis, Score, Search
+from greygate.mismatch.search import ROUGH, Hypothesis, Score, Search
 from greygate.progress import Progress, silent
 
 EVIDENCE = 30.0  # of cost, robust, that an effect must save: some thirty hypotheses are tried
@@ -457,7 +457,9 @@ class Selection:
         for hypothesis, fit in rivals.items():
             for form, values in [(hypothesis, fit.values), *forms(self.search, hypothesis, fit.values)]:
                 if form not in longer.costs or (form == hypothesis and not fit.converged):
-                    longer.fit(form, values, fit.shifts if longer is self else None)
+                    least = min((longer.costs[h] for h in rivals if h in longer.costs), default=np.inf)
+                    shifts = fit.shifts if longer is self else None
+                    longer.fit(form, values, shifts, rival=least, enough=ROUGH)
         if best not in longer.fits:
             longer.add(best, longer.search.fit(final, best, current.values))
 
@@ -466,6 +468,8 @@ class Selection:
 
         tried = [h for h in longer.fits if h.size == best.size]
         chosen = min(tried, key=worth)
+        rough = longer.fits[chosen]
+        longer.fit(chosen, rough.values, rough.shifts)
         if longer is not self:
             by = longer.costs[best] - current.cost
             longer.costs = {**{h: cost + by for h, cost in self.costs.items()}, **longer.costs}

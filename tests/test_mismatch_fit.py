@@ -12,7 +12,7 @@ from greygate.mismatch import cores, rig, simulation
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, _inverse
-from greygate.mismatch.linearised import pair_gains, released_gains
+from greygate.mismatch.linearised import Normal, pair_gains, released_gains
 from greygate.mismatch.model import EARLY, FILTERS, Model, delayed, lagged
 from greygate.mismatch.noise import LONGEST, roughness, runs
 from greygate.mismatch.search import Hypothesis, Search
@@ -142,13 +142,20 @@ def test_a_smaller_model_fits_worse_and_one_that_starts_elsewhere_fits_as_well(f
     assert elsewhere.values["stiffness"] == pytest.approx(full.values["stiffness"], rel=1e-3)
 
 
+def linear(slopes: np.ndarray, errors: np.ndarray, weight: np.ndarray, numbers: np.ndarray) -> Fit:
+    """A fit of which only the linearisation is known."""
+    fit = Fit(None, (None, None), {}, numbers, np.empty(0), errors, weight, 0.0, True, np.ones(1))
+    vars(fit).update(slopes=slopes, projected=errors)
+    return fit
+
+
 def test_the_gain_of_a_pair_is_that_of_the_joint_least_squares():
     rng = np.random.default_rng(5)
     slopes, errors = rng.standard_normal((4, 30, 2)), rng.standard_normal((4, 30))
     columns = rng.standard_normal((4, 30, 5)) + errors[:, :, None]
     weight, numbers = np.array([0.0, 4.0]), np.array([0.3, -0.5])
-    fit = SimpleNamespace(unknowns=(0, 1), slopes=slopes, projected=errors, weight=weight, numbers=numbers)
-    gains = pair_gains(fit, columns, (1, 3, 1))
+    fit = linear(slopes, errors, weight, numbers)
+    gains = pair_gains(Normal.of(fit, columns), (1, 3, 1))
 
     def cost(own: list[int]) -> float:
         """Of the unknowns and of `own` columns, the unknowns' priors as rows."""
@@ -168,7 +175,7 @@ def test_an_effect_and_a_parameter_freed_of_its_prior_save_together_what_least_s
     errors = rng.standard_normal((4, 30))
     slopes, columns = rng.standard_normal((4, 30, 2)), rng.standard_normal((4, 30, 3)) + errors[:, :, None]
     weight, numbers = np.array([9.0, 4.0]), np.array([0.3, -0.5])
-    fit = SimpleNamespace(unknowns=(0, 1), slopes=slopes, projected=errors, weight=weight, numbers=numbers)
+    fit = linear(slopes, errors, weight, numbers)
 
     def cost(own: list[int], weight: np.ndarray) -> float:
         """Of the unknowns and of `own` columns, the unknowns' priors as rows."""
@@ -178,7 +185,7 @@ def test_an_effect_and_a_parameter_freed_of_its_prior_save_together_what_least_s
         left = right - rows @ np.linalg.lstsq(rows, right)[0]
         return float(left @ left)
 
-    gains = released_gains(fit, columns, (1, 2), released=1)
+    gains = released_gains(Normal.of(fit, columns), (1, 2), released=1)
     for i, own in enumerate(([0], [1, 2])):
         assert gains[i] == pytest.approx(cost([], weight) - cost(own, weight * [1, 0]), rel=1e-6)
 
