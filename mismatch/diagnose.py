@@ -91,7 +91,7 @@ def diagnose(
             "values and units in rig.toml, or restart it in windows of window_s"
         )
     if result.verdict == Verdict.UNEXPLAINED and len(recording.runs) > 1:
-        result.alone = _each_alone(rig, effects, progress)
+        result.alone = _each_alone(search, effects, progress)
     result.seconds = time.perf_counter() - began
     return result
 
@@ -101,13 +101,16 @@ def _faults(search: Search, best: Hypothesis) -> bool:
     return bool(best.effects) and all(search.effects[key].fault for key in best.effects)
 
 
-def _each_alone(rig: Rig, effects: Mapping[str, Effect], progress: Progress) -> dict[str, dict]:
-    """By its name, what each of several recordings says alone: one may show what the others lack."""
-    out = {}
+def _each_alone(search: Search, effects: Mapping[str, Effect], progress: Progress) -> dict[str, dict]:
+    """By its name, what each of several recordings says alone, while there is time: one may show what is new."""
+    rig, out = search.rig, {}
     for file in rig.identify:
+        if search.budget.over:
+            search.untried[f"{file} alone"] = None
+            continue
         progress(f"asking {file} alone")
         try:
-            found = diagnose(replace(rig, identify=(file,), holdout=()), effects).as_dict()
+            found = diagnose(replace(rig, identify=(file,), holdout=()), effects, budget=search.budget).as_dict()
         except InputError:  # too short alone, or a run that diverges
             continue
         out[run_name(file)] = {key: found[key] for key in ("verdict", "effects")}
@@ -157,7 +160,7 @@ def _diagnosed(search: Search, progress: Progress) -> Diagnosis:
     noise = shown_noise(found.corrected)
     if noise is None or noise.as_told:
         return replace(found, noise=noise)
-    for _ in range(NOISES):
+    for _ in range(0 if search.budget.over else NOISES):
         progress("searching again: the noise is not as rig.toml tells it")
         again = _explained(search.under(noise), progress)
         before, noise = noise, shown_noise(again.corrected)
