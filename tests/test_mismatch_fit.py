@@ -12,7 +12,7 @@ from greygate.mismatch import cores, rig, simulation
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, _inverse
-from greygate.mismatch.linearised import Normal, pair_gains, released_gains
+from greygate.mismatch.linearised import Normal, pair_gains, released_gains, solve
 from greygate.mismatch.model import EARLY, FILTERS, Model, delayed, lagged
 from greygate.mismatch.noise import LONGEST, roughness, runs
 from greygate.mismatch.search import Hypothesis, Search
@@ -147,6 +147,23 @@ def linear(slopes: np.ndarray, errors: np.ndarray, weight: np.ndarray, numbers: 
     fit = Fit(None, (None, None), {}, numbers, np.empty(0), errors, weight, 0.0, True, np.ones(1))
     vars(fit).update(slopes=slopes, projected=errors)
     return fit
+
+
+def test_a_solution_within_bounds_is_that_of_least_squares_and_one_beyond_keeps_to_them():
+    rng = np.random.default_rng(6)
+    slopes, errors = rng.standard_normal((4, 30, 2)), rng.standard_normal((4, 30))
+    columns, weight = rng.standard_normal((4, 30, 1)), np.array([0.0, 4.0])
+    fit = linear(slopes, errors, weight, np.zeros(2))
+    rows = np.concatenate([np.concatenate([slopes, columns], axis=2).reshape(120, 3), [[0.0, 2.0, 0.0]]])
+    right = -np.append(errors.reshape(-1), 0.0)
+    free, gain = solve(fit, columns, np.array([[-9.0, 9.0]] * 3), weight)
+    np.testing.assert_allclose(free, np.linalg.lstsq(rows, right)[0], rtol=1e-6)
+    assert gain == pytest.approx(right @ right - np.sum((right - rows @ free) ** 2), rel=1e-6)
+    bound = free[2] / 2
+    held, less = solve(fit, columns, np.array([[-9.0, 9.0], [-9.0, 9.0], sorted((0.0, bound))]), weight)
+    assert held[2] == pytest.approx(bound, rel=1e-6)
+    np.testing.assert_allclose(held[:2], np.linalg.lstsq(rows[:, :2], right - rows[:, 2] * bound)[0], rtol=1e-5)
+    assert less < gain
 
 
 def test_the_gain_of_a_pair_is_that_of_the_joint_least_squares():

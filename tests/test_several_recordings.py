@@ -22,6 +22,7 @@ from greygate.mismatch.several import Several, modelled
 from greygate.mismatch.shown_by import recording_of
 from greygate.mismatch.uneven import resampled
 from greygate.plants import Plant, simulate
+from greygate.progress import Budget
 from greygate.plants.plant import Parameter
 
 AXIS = """
@@ -134,6 +135,9 @@ def test_what_one_of_three_machines_has_is_told_of_that_one(tmp_path):
     alone = {name: entry["alone"] for name, entry in found["recordings"].items()}
     assert [alone[name]["verdict"] for name in alone] == ["consistent", "consistent", "missing_physics"]
     assert [effect["id"] for effect in alone["run3"]["effects"]] == ["spring"]
+    late = diagnose(rig, few(rig), budget=Budget(0.0)).as_dict()
+    assert {"run1.csv alone", "run2.csv alone", "run3.csv alone"} <= set(late["not_tried"])
+    assert not any("alone" in entry for entry in late.get("recordings", {}).values())
 
 
 # -- what differs from recording to recording --------------------------------------------------------------------------

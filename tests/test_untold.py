@@ -1,0 +1,102 @@
+"""The search where nobody told the noise: the run's error ranks, in the longest steps of time that serve."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greygate.mismatch import rig as rigs
+from greygate.mismatch.coloured import Coloured
+from greygate.mismatch.coloured_selection import ALIKE, _foretells, quicker
+from greygate.mismatch.fit import Unknown
+from greygate.mismatch.model import Model
+from greygate.plants.plant import Plant
+from greygate.plants.simulator import Restarted, simulate
+
+PLANT = """step = 1e-3
+outputs = ["x"]
+[inputs]
+force = "N"
+[parameters]
+mass = [20.0, "kg"]
+viscous = [300.0, "N s/m"]
+[states]
+x = { unit = "m", rate = "v" }
+v = { unit = "m/s" }
+[equations.position]
+x = { velocity = "v" }
+[equations.motion]
+v = { storage = "mass", drive = "force", viscous = "-viscous * v" }
+"""
+RIG = """plant = "slide.toml"
+sample_time_s = 0.012
+predict = ["x"]
+parameters = { mass = 20.0, viscous = 300.0 }
+tolerance = { mass = 0.1, viscous = 0.2 }
+channels.force = { unit = "N", role = "input" }
+channels.x = { unit = "m", role = "output" }
+"""
+SAMPLES = 600
+
+
+def recorded(folder, mass: float = 20.0) -> Coloured:
+    """The likelihood of a slide whose friction is 10 % higher."""
+    (folder / "slide.toml").write_text(PLANT.replace("step = 1e-3", "step = 1e-4"))
+    (folder / "rig.toml").write_text(RIG.replace("mass = 20.0", f"mass = {mass}"))
+    real = Plant.read(folder / "slide.toml").with_parameters(mass=mass, viscous=330.0)
+    rng = np.random.default_rng(1)
+    force = 80 * np.repeat(rng.standard_normal(SAMPLES // 10), 10)
+    x = simulate(real, {"force": force}, sample_time=0.012, step=1e-4)["x"]
+    table = np.column_stack([np.arange(SAMPLES) * 0.012, force, x + 1e-5 * rng.standard_normal(SAMPLES)])
+    np.savetxt(folder / "identify.csv", table, delimiter=",", header="t,force,x", comments="", fmt="%.10g")
+    rig = rigs.load(folder)
+    return Coloured(Model(rig, rig.recording(folder / "identify.csv"), {}))
+
+
+def test_a_plant_in_other_steps_is_the_plant_compiled_for_them(tmp_path):
+    (tmp_path / "slide.toml").write_text(PLANT)
+    plant = Plant.read(tmp_path / "slide.toml")
+    force = np.random.default_rng(2).standard_normal((50, 1))
+    run = (force, np.array([0]), np.zeros((1, 2)), np.array([True, True]), dict(mass=20.0, viscous=300.0))
+    fine, coarse = (Restarted(plant, 0.012, step) for step in (1e-3, 4e-3))
+    assert not np.array_equal(fine.run(*run), coarse.run(*run))
+    assert np.array_equal(fine.in_steps(3).run(*run), coarse.run(*run))
+    assert fine.substeps == 12  # the one it was made of is as it was
+
+
+def test_hypotheses_are_ranked_in_the_longest_steps_that_change_little(tmp_path):
+    fine = recorded(tmp_path)
+    error = np.std(fine.residual({}))
+    quick = quicker(fine, {})
+    assert quick.model.longer_steps == []  # one step over which an input rests
+    assert 0 < np.std(quick.residual({}) - fine.residual({})) <= ALIKE * error
+    assert fine.model.longer_steps  # the one it was made of is as it was
+    stiff = quicker(recorded(tmp_path, mass=0.05), {}).model  # of 0.17 ms: a run in steps of 1.2 ms diverges
+    assert stiff.longer_steps == [1]
+
+
+def test_what_one_fold_alone_shows_may_be_missing_there_and_what_chance_shows_is_not_borne_out(tmp_path):
+    likelihood = recorded(tmp_path)
+    fixed = likelihood.fit([Unknown("mass", 20.0, 1.0, 1.0)], {"viscous": 300.0})
+    free = likelihood.fit([Unknown("mass", 20.0, 1.0, 1.0), Unknown("viscous", 300.0, 30.0, 1.0)])
+    assert _foretells(fixed, free, exact=False)
+    assert _foretells(fixed, free, exact=True)
+    assert not _foretells(free, fixed, exact=False)
+    assert not _foretells(free, fixed, exact=True)
+    lost = np.array(free.projected)
+    lost[:2] *= 1e3  # the first block: of the first fold alone
+    spoilt = replace(free)
+    vars(spoilt).update(projected=lost, slopes=np.zeros_like(free.slopes))
+    assert _foretells(fixed, spoilt, exact=False)
+    lost[2:4] *= 1e3  # and of the second
+    assert not _foretells(fixed, spoilt, exact=False)
+
+
+@pytest.mark.parametrize("name", ["in_steps", "driven"])
+def test_a_model_made_of_another_leaves_that_as_it_was(tmp_path, name):
+    model = recorded(tmp_path).model
+    before = model.predict(model.values)
+    arguments = {"in_steps": (1,), "driven": ("force", np.zeros(SAMPLES))}[name]
+    other = getattr(model, name)(*arguments)
+    assert not np.array_equal(other.predict(model.values), before)
+    assert np.array_equal(model.predict({**model.values, "mass": 20.0}), before)
