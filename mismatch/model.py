@@ -19,7 +19,7 @@ from greygate.mismatch.joining import join
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.runs import pieces
 from greygate.mismatch.scales import memory, noise, span
-from greygate.plants.expressions import names
+from greygate.plants.expressions import names, summands
 from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import Restarted
@@ -410,12 +410,18 @@ class Model:
         scope = Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
         scope.update({**self.values, **values})
 
+        parts = [
+            (self.rig.predict.index(places[path.partition(".")[0]]), *part)
+            for path, expression in effect.terms.items()
+            for part in summands(expression)
+        ]
+
         def give(own: Mapping[str, float]) -> np.ndarray:
             scope.update(own)
             out = np.zeros((len(states), len(self.rig.predict)))
-            for path, expression in effect.terms.items():
-                symbol = places[path.partition(".")[0]]
-                out[:, self.rig.predict.index(symbol)] += scope.evaluate(expression)
+            for channel, factor, expression in parts:
+                if own.get(factor) != 0.0:
+                    out[:, channel] += scope.evaluate(expression)
             return out
 
         return give

@@ -178,6 +178,25 @@ def replaced(text: str, by: Mapping[str, str]) -> str:
     return _TOKEN.sub(lambda token: by.get(token[0], token[0]) if token["name"] else token[0], text)
 
 
+def summands(text: str) -> list[tuple[str, str]]:
+    """(the name of which it is a multiple, empty where there is none; its text) of every summand of an expression."""
+
+    def parts(node: Node) -> list[Node]:
+        return parts(node.left) + parts(node.right) if isinstance(node, Operation) and node.sign == "+" else [node]
+
+    def factor(node: Node) -> str:
+        match node:
+            case Name(symbol):
+                return symbol
+            case Signed(_, of):
+                return factor(of)
+            case Operation("*" | "/", left, _):
+                return factor(left)
+        return ""
+
+    return [(factor(part), _written(part, _TEST, False)) for part in parts(parse(text).tree)]
+
+
 # -- from text to tree -----------------------------------------------------------------------------------------------
 
 

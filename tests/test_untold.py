@@ -10,6 +10,7 @@ from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.coloured_selection import ALIKE, _foretells, quicker
 from greygate.mismatch.fit import Unknown
 from greygate.mismatch.model import Model
+from greygate.plants.expressions import summands
 from greygate.plants.plant import Plant
 from greygate.plants.simulator import Restarted, simulate
 
@@ -100,3 +101,11 @@ def test_a_model_made_of_another_leaves_that_as_it_was(tmp_path, name):
     other = getattr(model, name)(*arguments)
     assert not np.array_equal(other.predict(model.values), before)
     assert np.array_equal(model.predict({**model.values, "mass": 20.0}), before)
+
+
+def test_what_an_effect_adds_is_computed_without_what_its_strengths_of_0_take_away():
+    assert summands("a * sin(x) + -b*cos(x / p) + (c + d) * x") == [
+        ("a", "a * sin(x)"), ("b", "-b * cos(x / p)"), ("", "(c + d) * x"),
+    ]  # fmt: skip
+    assert summands("a * x / b") == [("a", "a * x / b")]
+    assert summands("a - b") == [("", "a - b")]  # not a sum of two multiples: it stays whole
