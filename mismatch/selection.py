@@ -458,8 +458,8 @@ class Selection:
             for form, values in [(hypothesis, fit.values), *forms(self.search, hypothesis, fit.values)]:
                 if form not in longer.costs or (form == hypothesis and not fit.converged):
                     least = min((longer.costs[h] for h in rivals if h in longer.costs), default=np.inf)
-                    shifts = fit.shifts if longer is self else None
-                    longer.fit(form, values, shifts, rival=least, enough=ROUGH)
+                    how = {"shifts": fit.shifts} if longer is self else {"shifts": None, "rival": least}
+                    longer.fit(form, values, **how, enough=ROUGH)
         if best not in longer.fits:
             longer.add(best, longer.search.fit(final, best, current.values))
 

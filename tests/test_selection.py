@@ -7,7 +7,7 @@ import pytest
 
 from greygate.mismatch import selection
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.search import Hypothesis, Score, Search
+from greygate.mismatch.search import ROUGH, Hypothesis, Score, Search
 from greygate.mismatch.selection import EVIDENCE, FLOOR, Selection, alternatives, complete, forms, possible, structure
 
 NOTHING, DRIFT, SLIP = Hypothesis(), Hypothesis(("drift",)), Hypothesis(("slip",))
@@ -304,13 +304,13 @@ def test_over_the_same_windows_a_rival_that_gave_up_near_the_best_is_fitted_to_i
     chosen.likelihood.count = 100
     asked = []
 
-    def fitted(hypothesis, *_):
-        asked.append(hypothesis)
+    def fitted(hypothesis, *_, enough=None, **__):
+        asked.append((hypothesis, enough))
         chosen.add(hypothesis, made(60.0, True))
 
     monkeypatch.setattr(chosen, "fit", fitted)
     longer, best, found = chosen.over(chosen.likelihood, DRIFT, chosen.fits[DRIFT])
-    assert asked == [SLIP]  # a tenth of what the best saves is 90
+    assert asked == [(SLIP, ROUGH), (SLIP, None)]  # a tenth of what the best saves is 90; what is chosen, to its end
     assert (longer, best, found.cost) == (chosen, SLIP, 60.0)
 
 
@@ -322,9 +322,10 @@ def over_longer_windows(chosen, monkeypatch, costs: dict, unknowns: dict):
     def made(h: Hypothesis, cost: float):
         return SimpleNamespace(cost=cost, converged=True, values={}, shifts=None, unknowns=("k",) * unknowns[h])
 
-    def fitted(self, hypothesis, *_):
+    def fitted(self, hypothesis, *_, enough=None, **__):
         assert self.likelihood is final
-        asked.append(hypothesis)
+        if enough is not None:
+            asked.append(hypothesis)
         self.add(hypothesis, made(hypothesis, costs[hypothesis]))
 
     monkeypatch.setattr(Selection, "fit", fitted)

@@ -22,8 +22,8 @@ from greygate.mismatch.several import Several, modelled
 from greygate.mismatch.shown_by import recording_of
 from greygate.mismatch.uneven import resampled
 from greygate.plants import Plant, simulate
-from greygate.progress import Budget
 from greygate.plants.plant import Parameter
+from greygate.progress import Budget
 
 AXIS = """
 step = 1e-3
