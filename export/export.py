@@ -11,6 +11,7 @@ from greygate.export import fmu, network, plant, values
 from greygate.export.mjcf import Joint, joints, mjcf
 from greygate.export.model import Model
 from greygate.export.modelica import modelica
+from greygate.export.mujoco_model import Corrected, corrected_model
 from greygate.files import replacing, replacing_folder
 from greygate.hardware.build import Project
 from greygate.hardware.facts import FACTS
@@ -18,7 +19,7 @@ from greygate.mismatch import effects as effect_table
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.model import BLUR, EARLY, TIMING
 from greygate.mismatch.simulation import asked, check, corrected
-from greygate.plants.plant import Plant
+from greygate.plants.plant import Equation, Plant
 from greygate.plants.symbolic import latex
 
 
@@ -78,12 +79,44 @@ def export_latex(source: Path | str, out: Path | str, diagnosis: Mapping | None 
 def export_mjcf(
     source: Path | str, out: Path | str, names: Mapping[str, str], diagnosis: Mapping | None = None
 ) -> list[Joint]:
-    """Write what resists the motion of such a plant as joint classes of MuJoCo; see `mjcf.joints`. Needs sympy."""
+    """Write what resists the motion of such a plant as joint classes of MuJoCo; see `mjcf.joints`. Needs sympy.
+
+    Of a rig whose plant is a model of MuJoCo it is the whole model, and beside it a Python file, NAME.py, with what
+    MJCF has no element for.
+    """
     chosen = _plant(Path(source), diagnosis)
+    if chosen.outside is not None:
+        return _outside(Path(source), Path(out), chosen, names, _told(source, diagnosis))
     found = joints(chosen, names, None if diagnosis is None else _plant(Path(source), None))
     with replacing(out) as new:
         new.write_text(mjcf(found, _told(source, diagnosis)), encoding="utf-8")
     return found
+
+
+def _outside(source: Path, out: Path, chosen: Plant, names: Mapping[str, str], meaning: str) -> list[Joint]:
+    """Write the corrected model of a rig; its joints, with what has changed and what the Python file adds."""
+    if names:
+        raise InputError("--joint: the joints of a model have their names; leave it out")
+    rig = rigs.load(source)
+    if out.absolute().parent == rig.folder.absolute() and out.name == f"{rig.plant.name}.xml":
+        raise InputError(f"{out}: is the rig's own model; choose another --out")
+    made = corrected_model(rig, chosen, out, meaning)
+    with replacing(out) as new:
+        new.write_text(made.xml, encoding="utf-8")
+    if made.python:
+        with replacing(out.with_suffix(".py")) as new:
+            new.write_text(made.python, encoding="utf-8")
+    return [_joint(chosen, made, place, e) for place, e in chosen.equations.items() if place.startswith("motion_")]
+
+
+def _joint(plant: Plant, made: Corrected, place: str, equation: Equation) -> Joint:
+    """A joint of a corrected model: its properties, carried where a diagnosis changed them."""
+    name = place.removeprefix("motion_")
+    kinds = ("damping", "frictionloss", "armature")
+    sizes = {kind: plant.parameters[f"{kind}_{name}"].value for kind in kinds}
+    carried = {kind: [f"{kind}_{name}"] for kind in kinds if f"{kind}_{name}" in made.changed}
+    left = [path.partition(".")[2] for path in made.added if path.partition(".")[0] == place]
+    return Joint(equation.state, name, **sizes, carried=carried, left=left)
 
 
 def _told(source: Path | str, diagnosis: Mapping | None) -> str:

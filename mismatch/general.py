@@ -40,6 +40,7 @@ def general(
     direction in which its result acts, a strength may have either sign.
     """
     plant, out, seen, beside = rig.plant, {}, Seen(rig, recording), list(beside)
+    elements = plant.outside.elements if plant.outside else {}
     taken = {*plant.symbols, *(symbol for effect in beside for symbol in effect.symbols)}
     had = [columns for effect in beside for columns in _columns(effect, seen)]
     timed = TIME not in plant.symbols or TIME in plant.inputs
@@ -62,7 +63,9 @@ def general(
             if sized is None:
                 continue
             sized = _renamed(sized, taken)
-            taken |= {*sized["parameters"], *sized.get("states", {})}
+            if element := elements.get((key, place.get("motion", ""))):
+                sized = _released(sized, element)
+            taken |= {*sized.get("parameters", {}), *sized.get("states", {})}
             if "of" in sized and len(named) > 1:
                 sized["of"] = f"{sized['of']}_{name}"
             key_here = f"{key}_{name}" if len(named) > 1 else key
@@ -139,6 +142,13 @@ def _sized(entry: dict, seen: Seen, every: bool) -> dict | None:
         "parameters": {s: _ordered(p) for s, p in parameters.items()},
         "states": {s: {**state, "unit": _copied(state["unit"], seen)} for s, state in entry.get("states", {}).items()},
     }
+
+
+def _released(entry: dict, symbol: str) -> dict:
+    """The same effect as a parameter that the plant's simulator has for it; its shapes are the simulator's."""
+    strength = next(p for p in entry["parameters"].values() if not p.get("shape"))
+    kept = {k: v for k, v in entry.items() if k not in ("parameters", "terms")}
+    return kept | {"frees": {symbol: {k: v for k, v in strength.items() if k != "as"}}}
 
 
 def _numbers(parameter: Mapping, seen: Seen) -> dict:

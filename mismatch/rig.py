@@ -274,7 +274,8 @@ def load(folder: Path | str) -> Rig:
             raise InputError(f"{path}: {where}: {problem}")
     dt, window = found["sample_time_s"], found.get("window_s")
     tolerance = found.get("tolerance", {})
-    datasheet = found["parameters"] | {s: plant.parameters[s].value for s in tolerance if s not in found["parameters"]}
+    own = {symbol: plant.parameters[symbol].value for symbol in (plant.outside.parameters if plant.outside else ())}
+    datasheet = own | found["parameters"]
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
     parameters = {}
     for symbol, p in plant.parameters.items():

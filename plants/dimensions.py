@@ -25,11 +25,12 @@ def clashes(plant: Plant) -> list[str]:
     """
     known = {symbol: plant.unit(symbol) for symbol in plant.symbols}
     out = []
+    outside = plant.outside.stepped if plant.outside else ()  # what stands on the left there, the simulator knows
     for name, equation in plant.equations.items():
         storage, state = units.of(equation.storage, known), units.powers(plant.unit(equation.state))
         left = (
             None
-            if storage is None or state is None
+            if storage is None or state is None or equation.state in outside
             else units.times(units.times(storage, state), {"s": Fraction(1)}, -1)
         )
         out += _clash(name, {"left side": left, **_of_terms(equation.terms, known)})

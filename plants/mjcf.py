@@ -28,6 +28,8 @@ TORQUE = "torque_"  # before the name of a joint: an input that acts on it
 ANGLE, WAY = ("rad", "N m", "kg m^2"), ("m", "N", "kg")  # units of a hinge and of a slide: position, force, inertia
 INERTIAL = ("body_mass", "body_inertia", "body_ipos", "dof_armature")  # after which MuJoCo's constants are set anew
 AXES = ("x", "y", "z")
+ELEMENTS = {"dry_friction": "frictionloss", "viscous_friction": "damping", "spring": "stiffness"}
+"""Effects of `general.toml` -> what MuJoCo has for them at a joint."""
 PROGRAMS = ("extension", "plugin")  # elements
 NAMING = ("include", "mesh", "hfield", "texture", "skin", "flexcomp", "model", "asset")  # elements that name files
 NAMES = ("file", "filename", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back")))
@@ -123,6 +125,7 @@ class Simulated:
     forced: int
     settings: Mapping[str, tuple[Setting, ...]]
     own: Collection[str]
+    elements: Mapping[tuple[str, str], str]
     controls: tuple[str, ...]
     source: str = SOURCE
     _idle: list[Pair] = field(default_factory=list)
@@ -137,6 +140,7 @@ class Simulated:
 
     @contextmanager
     def lent(self, inputs: Sequence[str], values: Mapping[str, float], step: float) -> Iterator[tuple[Any, ...]]:
+        _alone()
         try:
             pair = self._idle.pop()
         except IndexError:
@@ -186,6 +190,14 @@ def _mujoco() -> Any:
     return mujoco
 
 
+def _alone() -> Any:
+    """The package. Raises InputError where a callback of somebody else's would act in its simulations."""
+    mujoco = _mujoco()
+    if mujoco.get_mjcb_passive() or mujoco.get_mjcb_control():
+        raise InputError("a callback of MuJoCo is set, which would act here too; take it away while greygate runs")
+    return mujoco
+
+
 def read(path: Path, recorded: Collection[str]) -> Plant:
     """The plant of a model. recorded: names of channels: the inputs are those of its controls or joint torques there.
 
@@ -201,7 +213,7 @@ def forces(plant: Plant) -> list[str]:
 
 def load(path: Path) -> Any:
     """MuJoCo's model of a file. Raises InputError for one that it does not take, and as `files` does."""
-    mujoco = _mujoco()
+    mujoco = _alone()
     content = bundle(path)
     told = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT where one stands
@@ -213,6 +225,46 @@ def load(path: Path) -> Any:
         raise InputError(f"{path}: MuJoCo does not load it ({shown(str(error))[1:-1]}); repair the model") from None
     finally:
         mujoco.set_mju_user_warning(told)
+
+
+def names_of(plant: Plant) -> list[str]:
+    """The names that the joints of a plant have in its model, in its order."""
+    assert isinstance(plant.outside, Simulated)
+    return [plant.outside.model.joint(j).name for j in range(plant.outside.forced)]
+
+
+def corrected(path: Path, plant: Plant, values: Mapping[str, float]) -> str:
+    """The MJCF of a model with other values of some of its plant's parameters; it names the same files.
+
+    A body whose mass, place of mass or inertia changes has them written down, whatever its geometry says.
+    """
+    assert isinstance(plant.outside, Simulated)
+    mujoco, model = _mujoco(), load(path)
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.compile()
+    for symbol, settings in plant.outside.settings.items():
+        if values[symbol] != plant.parameters[symbol].value:
+            for name, index, factor in settings:
+                _write(spec, model, name, index, factor * values[symbol])
+    try:
+        return str(spec.to_xml())
+    except ValueError as error:
+        raise InputError(f"{path}: MuJoCo does not take it as corrected ({shown(str(error))[1:-1]})") from None
+
+
+def _write(spec: Any, model: Any, name: str, index: tuple[int, ...], value: float) -> None:
+    """Write one number of a compiled model into its specification."""
+    kind, _, field_ = name.partition("_")
+    elements = {"dof": spec.joints, "jnt": spec.joints, "body": spec.bodies, "actuator": spec.actuators}[kind]
+    element = next(e for e in elements if e.id == index[0])
+    if kind == "body" and not element.explicitinertial:
+        element.explicitinertial = True
+        b = index[0]
+        element.mass, element.ipos, element.iquat = model.body_mass[b], model.body_ipos[b], model.body_iquat[b]
+        element.inertia, element.fullinertia = model.body_inertia[b], np.full(6, np.nan)
+    now = np.atleast_1d(np.array(getattr(element, field_), dtype=float))
+    now[index[1] if len(index) > 1 else 0] = value
+    setattr(element, field_, now if np.ndim(getattr(element, field_)) else float(now[0]))
 
 
 def files(path: Path) -> list[str]:
@@ -359,7 +411,13 @@ class _Reading:
         controls = ["" for _ in range(model.nu)]
         for a, name in enumerate(self.actuators if not self.torques else ()):
             controls[self._address(a)] = name
-        outside = Simulated(model, tuple(self.states), len(self.joints), self.settings, own, tuple(controls))
+        elements = {
+            (effect, f"motion_{j}"): f"{name}_{j}"
+            for j in self.joints
+            for effect, name in ELEMENTS.items()
+            if f"{name}_{j}" in self.settings
+        }
+        outside = Simulated(model, tuple(self.states), len(self.joints), self.settings, own, elements, tuple(controls))
         return Plant(
             self.path.stem, self.parameters, self.inputs, self.states, self._equations(activations),
             outputs=tuple(self.states), step=float(model.opt.timestep), outside=outside,
@@ -404,17 +462,19 @@ class _Reading:
             self._enter(f"armature_{name}", inertia, ("dof_armature", (j,), 1.0))
             loss = self._enter(f"frictionloss_{name}", force, ("dof_frictionloss", (j,), 1.0))
             terms["frictionloss"] = f"-{loss} * sign({v})"
-            if self.model.jnt_stiffness[j]:
-                stiffness = self._enter(f"stiffness_{name}", _over(force, way), ("jnt_stiffness", (j,), 1.0))
-                terms["stiffness"] = f"-{stiffness} * ({name} - {float(self.model.qpos_spring[j])!r})"
+            stiffness = self._enter(f"stiffness_{name}", _over(force, way), ("jnt_stiffness", (j,), 1.0))
+            terms["stiffness"] = f"-{stiffness} * ({name} - {float(self.model.qpos_spring[j])!r})"
 
     def _bodies(self) -> None:
         """The inertial parameters of what moves."""
         for b, name in enumerate(self.bodies):
-            if self.model.body_weldid[b] and self.model.body_mass[b] > 0:
+            if self.model.body_weldid[b] and self.model.body_mass[b] > 0 and self.model.body_inertia[b].min() > 0:
                 self._enter(f"mass_{name}", "kg", ("body_mass", (b,), 1.0))
+                moments = self.model.body_inertia[b]
+                largest = sorted(range(len(AXES)), key=lambda i: -moments[i])  # of which the others stay a share
+                shares = [("body_inertia", (b, i), float(moments[i] / moments.max())) for i in largest]
+                self._enter(f"inertia_{name}", "kg m^2", *shares)
                 for i, axis in enumerate(AXES):
-                    self._enter(f"inertia_{axis}_{name}", "kg m^2", ("body_inertia", (b, i), 1.0))
                     self._enter(f"ipos_{axis}_{name}", "m", ("body_ipos", (b, i), 1.0))
 
     def _actuator(self, a: int) -> None:

@@ -16,7 +16,8 @@ class Outside(Protocol):
 
     stepped: the plant's states that it steps, its first; the last `forced` of them that are velocities are
     `stepped[first : first + forced]`, on each of which a force acts.
-    parameters: those of the plant that it takes. own: "equation.term" that it computes itself.
+    parameters: those of the plant that it takes. own: "equation.term" that it computes itself. elements: (general
+    effect, equation) -> the parameter by which the simulator says that effect itself.
     source: functions that numba compiles, whose `at` is what `lent` lends: `begin(at, x)` takes the states x,
     `accelerate(at, x, u, force)` says whether all is finite, `acceleration(at, i)` of velocity i then,
     `mobility(at, i)`: about by how much a force accelerates it, `advance(at, x, slope)` takes a step, the forces less
@@ -33,6 +34,8 @@ class Outside(Protocol):
     def parameters(self) -> Collection[str]: ...
     @property
     def own(self) -> Collection[str]: ...
+    @property
+    def elements(self) -> Mapping[tuple[str, str], str]: ...
     @property
     def source(self) -> str: ...
     def lent(self, inputs: Sequence[str], values: Mapping[str, float], step: float) -> AbstractContextManager[Any]:

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
+from greygate.mismatch.diagnosis import READ
+from greygate.mismatch.entries import fitting
+from greygate.mismatch.general import general
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
 from greygate.plants import mjcf
@@ -43,9 +46,10 @@ def inputs(names):
     return {name: 0.3 * np.sin(2.0 * t + i) + 0.1 * np.sin(11.0 * t) for i, name in enumerate(names)}
 
 
-def stepped(path, controls, act=lambda data: None):
+def stepped(path, controls, act=lambda data: None, loaded=lambda model: None):
     """Joint positions (samples, joints) as MuJoCo itself steps them."""
     model = mujoco.MjModel.from_xml_path(str(path))
+    loaded(model)
     data, out = mujoco.MjData(model), []
     for row in np.stack([*controls.values()], axis=1):
         out.append(data.qpos.copy())
@@ -297,3 +301,87 @@ def test_what_mujoco_warns_of_leaves_no_file(tmp_path, monkeypatch):
     path.write_text(URDF.replace("continuous", "revolute").replace("<dynamics", f"{limited}<dynamics"))
     mjcf.read(path, [])
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def said(rig, effects, parameters):
+    """A diagnosis.json of the rig."""
+    return {
+        "schema": next(iter(READ)), "plant": rig.plant.name, "effects": effects,
+        "parameters": {s: {"value": v} for s, v in parameters.items()},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("symbol", "value"),
+    [
+        ("mass_lower", 0.5),
+        ("frictionloss_el_bow", 0.05),
+        ("kp_m2", 1.5),
+        ("inertia_upper", 0.006),
+        ("ipos_z_lower", -0.12),
+        ("damping_shoulder", 0.1),
+    ],
+)
+def test_a_corrected_model_loads_and_moves_as_the_corrected_simulation(greygate, tmp_path, monkeypatch, symbol, value):
+    monkeypatch.chdir(tmp_path)
+    path = write(tmp_path)
+    log(tmp_path, path, inputs(["m1", "m2"]))
+    assert greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm", *MAPPED)[0] == 0
+    rig = load("arm")
+    (tmp_path / "d.json").write_text(json.dumps(said(rig, [], {symbol: value})))
+    assert greygate("export", "mjcf", "arm", "--out", "new.xml", "--diagnosis", "d.json")[0] == 0
+    assert not (tmp_path / "new.py").exists()
+    assert greygate("simulate", "arm", "arm/identify.csv", "--diagnosis", "d.json", "--out", "sim.csv")[0] == 0
+    found = np.genfromtxt("sim.csv", delimiter=",", names=True)
+    wanted = stepped(tmp_path / "new.xml", inputs(["m1", "m2"]))[: len(found)]
+    assert np.abs(wanted - stepped(path, inputs(["m1", "m2"]))[: len(found)]).max() > 1e-3
+    assert np.abs(found["el_bow"] - wanted[:, 1]).max() < 1e-6 * np.ptp(wanted[:, 1])
+
+
+def test_what_mjcf_has_no_element_for_is_a_callback_that_moves_as_the_simulation(greygate, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = inputs(["m1", "m2"])
+    log(tmp_path, write(tmp_path), given)
+    assert greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm", *MAPPED)[0] == 0
+    effect = {"id": "square_damping_el_bow", "parameters": {"c2_v_el_bow": {"value": 0.3}}}
+    (tmp_path / "d.json").write_text(json.dumps(said(load("arm"), [effect], {})))
+    code, printed, err = greygate("export", "mjcf", "arm", "--out", "new.xml", "--diagnosis", "d.json", "--json")
+    assert code == 0, err
+    assert [joint["left"] for joint in json.loads(printed)["joints"]] == [
+        [],
+        ["square_damping_el_bow.square_damping"],
+    ]
+    assert greygate("simulate", "arm", "arm/identify.csv", "--diagnosis", "d.json", "--out", "sim.csv")[0] == 0
+    found = np.genfromtxt("sim.csv", delimiter=",", names=True)["el_bow"]
+    monkeypatch.syspath_prepend(tmp_path)
+    import new
+
+    try:
+        wanted = stepped(tmp_path / "new.xml", given, loaded=new.install)[: len(found), 1]
+        with pytest.raises(InputError, match="a callback"):
+            load("arm").plant.outside.lent([], {}, 0.001).__enter__()
+    finally:
+        mujoco.set_mjcb_passive(None)
+    plain = stepped(tmp_path / "arm.xml", given)[: len(found), 1]
+    assert np.abs(wanted - plain).max() > 0.05
+    assert np.abs(found - wanted).max() < 2e-3 * np.ptp(
+        wanted
+    )  # one takes the force where a step begins, one where it ends
+
+
+def test_mujocos_own_element_is_what_is_named_where_it_has_one(tmp_path):
+    """Dry friction, damping and a spring have one name in a model: not frictionloss here and f_v there."""
+    path = write(tmp_path, loss=0.0, damping=0.0)
+    rig = record(tmp_path, path)
+    known = general(rig, rig.to_explain())
+    frees = {key: [f.symbol for f in e.free] for key, e in known.items() if e.frees}
+    assert frees == {
+        "dry_friction_shoulder": ["frictionloss_shoulder"], "dry_friction_el_bow": ["frictionloss_el_bow"],
+        "viscous_friction_shoulder": ["damping_shoulder"], "viscous_friction_el_bow": ["damping_el_bow"],
+        "spring_shoulder": ["stiffness_shoulder"], "spring_el_bow": ["stiffness_el_bow"],
+    }  # fmt: skip
+    assert known["dry_friction_shoulder"].free[0].unit == "N m"
+    rough = record(tmp_path, write(tmp_path))
+    offered = fitting(rough.plant, rough.datasheet, general(rough, rough.to_explain()))
+    assert "dry_friction_shoulder" not in offered  # it has some: the parameter is what is off
+    assert "dry_friction_el_bow" in offered

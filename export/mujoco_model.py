@@ -1,0 +1,106 @@
+"""A rig's MuJoCo model as a diagnosis corrects it, and what MJCF has no element for as a callback in Python."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from greygate.errors import InputError
+from greygate.mismatch.rig import Rig
+from greygate.plants import mjcf
+from greygate.plants.expressions import names, parse
+from greygate.plants.functions import FUNCTIONS, text
+from greygate.plants.plant import Equation, Plant
+
+HEAD = '''"""{meaning}
+
+What MJCF has no element for. `install(model)` adds it to every step of MuJoCo:
+
+    import mujoco, {module}
+    model = mujoco.MjModel.from_xml_path("{model}")
+    {module}.install(model)
+"""
+
+import mujoco
+import numpy as np
+
+{functions}
+JOINTS = {joints}
+PARAMETERS = {parameters}
+
+
+def force(q, v, p):
+    """Forces (joints,) of positions, velocities (joints,) and parameters, in N m or N."""
+{lines}
+
+
+def install(model):
+    """Let MuJoCo add the forces, in simulations of this model alone."""
+    at = [(model.joint(name).qposadr[0], model.joint(name).dofadr[0]) for name in JOINTS]
+
+    def passive(other, data):
+        if other.signature != model.signature:
+            return
+        found = force([data.qpos[q] for q, _ in at], [data.qvel[v] for _, v in at], PARAMETERS)
+        for (_, v), added in zip(at, found, strict=True):
+            data.qfrc_passive[v] += added
+
+    mujoco.set_mjcb_passive(passive)
+'''
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """A corrected model. changed: parameter -> (value before, after). added: terms that the Python file has."""
+
+    xml: str
+    python: str
+    changed: Mapping[str, tuple[float, float]]
+    added: tuple[str, ...]
+
+
+def corrected_model(rig: Rig, plant: Plant, out: Path, meaning: str) -> Corrected:
+    """The model of a rig, whose plant a diagnosis corrected, to be written to `out`.
+
+    Raises InputError for an effect with a state of its own, or one that acts elsewhere than on joints.
+    """
+    path, before = model_of(rig), rig.plant
+    values = {s: plant.parameters[s].value for s in before.parameters}
+    changed = {s: (p.value, values[s]) for s, p in before.parameters.items() if values[s] != p.value}
+    added = {place: _added(before, e, place) for place, e in plant.equations.items() if place in before.equations}
+    added = {place: terms for place, terms in added.items() if terms}
+    if more := [s for s in plant.states if s not in before.states]:
+        raise InputError(
+            f"diagnosis: {', '.join(more)} is a state of an effect, which a callback of MuJoCo has not yet"
+        )
+    python = _python(before, plant, added, out, meaning) if added else ""
+    told = tuple(f"{place}.{term}" for place, terms in added.items() for term in terms)
+    return Corrected(mjcf.corrected(path, before, values), python, changed, told)
+
+
+def model_of(rig: Rig) -> Path:
+    """The file of a rig's model."""
+    return next(p for p in (rig.folder / f"{rig.plant.name}{end}" for end in (".xml", ".urdf")) if p.is_file())
+
+
+def _added(before: Plant, equation: Equation, place: str) -> dict[str, str]:
+    return {term: text for term, text in equation.terms.items() if term not in before.equations[place].terms}
+
+
+def _python(before: Plant, plant: Plant, added: Mapping[str, Mapping[str, str]], out: Path, meaning: str) -> str:
+    joints = [s for s, state in before.states.items() if state.rate]
+    used = names(t for terms in added.values() for t in terms.values())
+    if outside := [s for s in used if s not in (*plant.parameters, *before.states)]:
+        raise InputError(f"diagnosis: a correction uses {', '.join(outside)}, which a callback of MuJoCo does not know")
+    lines = [f"    {s} = p[{s!r}]" for s in sorted(used & {*plant.parameters})]
+    for i, joint in enumerate(joints):
+        lines += [f"    {s} = {a}[{i}]" for s, a in ((joint, "q"), (before.states[joint].rate, "v")) if s in used]
+    sums = [
+        " + ".join(f"({parse(t).source()})" for t in added.get(f"motion_{j}", {}).values()) or "0.0" for j in joints
+    ]
+    lines += ["    return [", *(f"        {text}," for text in sums), "    ]"]
+    functions = [text(name) for name in FUNCTIONS if name != "when"]
+    return HEAD.format(
+        meaning=meaning, module=out.stem, model=out.name, functions="\n\n".join(functions),
+        joints=mjcf.names_of(before), lines="\n".join(lines),
+        parameters={s: plant.parameters[s].value for s in sorted(used & {*plant.parameters})},
+    )  # fmt: skip
