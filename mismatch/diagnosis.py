@@ -267,8 +267,8 @@ class Diagnosis:
         return out
 
     def _parameter(self, symbol: str, p: Parameter) -> dict:
-        value, deviation = self.corrected.values[symbol], self.corrected.deviation(symbol)
-        low, high = interval(value, deviation)
+        value = self.corrected.values[symbol]
+        low, high = interval(value, self.corrected.together[symbol])
         outside = {"outside_tolerance": True} if symbol in self.best.released else {}
         if self.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) or self._drawn(symbol):
             # what is missing draws a parameter, as far as it may go: no better known than on the data sheet

@@ -22,6 +22,7 @@ from greygate.mismatch.cores import each
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise, deviation
 from greygate.mismatch.runs import along, whole
+from greygate.mismatch.undetermined import deviations
 from greygate.models.training.gauss_newton import Decades, bounded, search
 
 WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
@@ -193,6 +194,14 @@ class Fit:
         """Standard deviation of a value."""
         j = [u.symbol for u in self.unknowns].index(symbol)
         return float(np.sqrt(self.covariance[j, j]) * abs(self.unknowns[j].scale))
+
+    @cached_property
+    def together(self) -> dict[str, float]:
+        """Standard deviation of every unknown's value, the data sheet's errors being those of one cause, if it may."""
+        white = max(1.0, float(np.mean(self.projected**2)))
+        information = (self.information - np.diag(self.weight)) / white
+        found = deviations(information, self.weight, np.sqrt(np.diag(self.covariance)))
+        return {u.symbol: float(d * abs(u.scale)) for u, d in zip(self.unknowns, found, strict=True)}
 
 
 def tame(change: np.ndarray) -> np.ndarray:

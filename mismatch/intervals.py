@@ -19,10 +19,11 @@ def interval(value: float, deviation: float) -> list[float]:
     return [value - reach, value + reach]
 
 
-def reported(effect: Effect, fit: Fit, least: float = 0.0) -> dict:
+def reported(effect: Effect, fit: Fit, least: float = 0.0, together: bool = True) -> dict:
     """An effect's parameters as the diagnosis names them -> value, ci95, unit.
 
     least: share of its sizes below which the recording rules it out, where that is known better (`least_share`).
+    together: whether the data sheet's errors may have one cause (`undetermined`).
     """
     symbols = [u.symbol for u in fit.unknowns]
     scales = np.array([abs(u.scale) for u in fit.unknowns])
@@ -45,7 +46,7 @@ def reported(effect: Effect, fit: Fit, least: float = 0.0) -> dict:
         if f.symbol in waves:
             continue
         value = fit.values[f.symbol]
-        deviation = 0.0 if f.whole else fit.deviation(f.symbol)
+        deviation = 0.0 if f.whole else fit.together[f.symbol] if together else fit.deviation(f.symbol)
         unit = f.unit or fit.likelihood.model.plant.parameters[f.symbol].unit
         out[f.reported] = {"value": value, "ci95": interval(value, deviation), "unit": unit}
     for name in sizes(effect, out) if least else ():
@@ -61,7 +62,7 @@ def sizes(effect: Effect, found: Mapping[str, Mapping]) -> list[str]:
 
 def margin(effect: Effect, fit: Fit) -> float:
     """How far the surest of an effect's sizes is from 0, in half widths of its interval: above 1 it holds no 0."""
-    found = reported(effect, fit)
+    found = reported(effect, fit, together=False)
     halves = {name: (found[name]["ci95"][1] - found[name]["ci95"][0]) / 2 for name in sizes(effect, found)}
     return max((abs(found[name]["value"]) / max(half, TINY) for name, half in halves.items()), default=0.0)
 

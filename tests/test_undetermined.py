@@ -1,0 +1,79 @@
+"""Intervals hold the truth where a recording knows parameters only together."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_plants import steps, write
+
+from greygate.mismatch.diagnose import diagnose
+from greygate.mismatch.rig import load
+from greygate.mismatch.undetermined import deviations
+
+CART = """step = 5e-3
+outputs = ["v"]
+inputs = { u = "V" }
+parameters = { mass = [1.0, "kg"], gain = [5.0, "N/V"], viscous = [8.0, "N s/m"] }
+states = { v = { unit = "m/s" } }
+equations.motion.v = { storage = "mass", motor = "gain * u", viscous = "-viscous * v" }
+"""
+SHEET = {"mass": 1.0, "gain": 5.0, "viscous": 8.0}
+
+
+def independent(information: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.diag(np.linalg.inv(information + np.diag(weight))))
+
+
+def found(information: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    return deviations(information, weight, independent(information, weight))
+
+
+def test_numbers_known_to_their_sum_go_as_far_as_each_of_them_may():
+    """Of n numbers whose differences are known, independent priors leave 1 / sqrt(n) of each; one cause leaves all."""
+    n = 4
+    differences = 1e8 * (np.eye(n) - np.ones((n, n)) / n)
+    assert independent(differences, np.ones(n)) == pytest.approx(np.full(n, 0.5), rel=1e-3)
+    assert found(differences, np.ones(n)) == pytest.approx(np.ones(n), rel=1e-3)
+
+
+def test_the_best_known_of_them_holds_the_others():
+    weight = np.array([1.0, 1.0, 25.0])  # the third is known five times better
+    differences = 1e8 * (np.eye(3) - np.ones((3, 3)) / 3)
+    assert found(differences, weight) == pytest.approx(np.full(3, 0.2), rel=1e-3)
+
+
+def test_what_is_not_known_at_all_keeps_its_prior():
+    assert found(np.diag([1e6, 0.0]), np.ones(2)) == pytest.approx([1e-3, 1.0], rel=1e-3)
+
+
+def test_what_the_recording_determines_stays_as_it_is():
+    information = np.array([[900.0, 300.0], [300.0, 400.0]])
+    alone = independent(information, np.ones(2))
+    assert deviations(information, np.ones(2), alone) is alone
+    assert deviations(np.zeros((2, 2)), np.zeros(2), alone) is alone  # no priors: nothing can err together
+
+
+def test_a_size_without_a_prior_goes_along():
+    """What has no prior is known by its ratio to what has one: as uncertain as that, all at once."""
+    n = 3
+    differences = 1e8 * (np.eye(n) - np.ones((n, n)) / n)
+    assert found(differences, np.array([1.0, 1.0, 0.0])) == pytest.approx(np.ones(n), rel=1e-3)
+
+
+def cart(folder: Path, factor: float, seed: int) -> Path:
+    """A cart all of whose parameters are off by one factor, which its speed cannot tell."""
+    u, v, read = steps(seed, -1.5, 1.5, 25, 400), 0.0, []
+    for volt in u.tolist():
+        read.append(v)
+        v = 5 / 8 * volt + (v - 5 / 8 * volt) * np.exp(-8.0 * 0.02)  # exact, over a sample
+    noisy = np.array(read) + 1e-3 * np.random.default_rng(seed).standard_normal(400)
+    channels = {"u": ("V", "input", None, u), "v": ("m/s", "output", 1e-3, noisy)}
+    return write(folder, CART, {s: v / factor for s, v in SHEET.items()}, dict.fromkeys(SHEET, 0.3), channels, 0.02)
+
+
+@pytest.mark.parametrize("factor", [0.78, 1.0, 1.28])
+def test_a_common_factor_that_no_motion_tells_is_in_every_interval(tmp_path, factor):
+    parameters = diagnose(load(cart(tmp_path / "rig", factor, 3))).as_dict()["parameters"]
+    for symbol, true in SHEET.items():
+        low, high = parameters[symbol]["ci95"]
+        assert low < true < high, symbol
