@@ -1,7 +1,7 @@
 """A rig folder to start from a model of somebody else's and a log, as `greygate init-rig --model` writes it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from greygate.errors import InputError, shown
 from greygate.files import replacing_folder
 from greygate.mismatch.model import Model
-from greygate.mismatch.rig import FEWEST, HOLDOUT, IDENTIFY, SHORTEST, Rig, load
+from greygate.mismatch.rig import FEWEST, HOLDOUT, IDENTIFY, SHORTEST, Channel, Rig, load
 from greygate.mismatch.scales import memory, noise
 from greygate.mismatch.starting import KEPT, RigStart, listed, write
 from greygate.names import check_name
@@ -28,7 +28,13 @@ TOLERANCES = {  # beginning of a parameter's name -> how uncertain it is in the 
     "kp": 0.1,
     "kv": 0.2,
     "mass": 0.05,  # of CAD, without cables and screws
+    "inertia": 0.2,
+    "ipos": 0.1,
 }
+TOLD = 2.0  # times as well as by its tolerance, that a log must tell a parameter, or it is not released
+OWN = 0.02  # of what a parameter changes, that no other must change: differences over steps are no better
+STEP = 0.1  # of a tolerance, by which a parameter is moved to see what it changes
+SHARED = 0.1  # of another parameter's tolerance, above which moving that does the same is said
 MEMORIES = 2  # of the fastest position, that a window lasts: long enough to see friction, too short to diverge
 SHORT = 50  # samples of a window, at least: a fifth of them smooths its first velocity
 LOST = 0.5  # of a channel's spread, by which a free run may be off
@@ -78,10 +84,12 @@ def init_rig(path: Path, record: str, model: Path, mapped: Mapping[str, str]) ->
         write(kept, names, slice(0, split if held else None), new / IDENTIFY)
         if held:
             write(kept, names, slice(split, None), new / HOLDOUT)
-        (new / "rig.toml").write_text(_rig(log, kept, model.name, held, None), encoding="utf-8")
+        (new / "rig.toml").write_text(_rig(log, kept, model.name, held, None, {}), encoding="utf-8")
         rig = load(new)
-        if window := _window(log, rig, rig.to_explain()):
-            (new / "rig.toml").write_text(_rig(log, kept, model.name, held, window), encoding="utf-8")
+        recording = rig.to_explain()
+        window = _window(log, rig, recording)
+        untold = _untold(Model(replace(rig, channels=_heard(rig, recording), window=window), recording, {}))
+        (new / "rig.toml").write_text(_rig(log, kept, model.name, held, window, untold), encoding="utf-8")
     written = ["rig.toml", model.name, IDENTIFY, *([HOLDOUT] if held else [])]
     return {"written": [str(path / n) for n in written], "next": f"greygate diagnose {path}"}
 
@@ -133,7 +141,47 @@ def _window(log: _Log, rig: Rig, recording: Recording) -> int | None:
     return max(min(wanted, recording.samples // WINDOWS), FEWEST)
 
 
-def _rig(log: _Log, kept: Recording, model: str, held: bool, window: int | None) -> str:
+def _heard(rig: Rig, recording: Recording) -> dict[str, Channel]:
+    """The rig's channels with the noise that the recording shows."""
+    return {n: replace(c, noise=float(noise(recording[n]))) for n, c in rig.channels.items()}
+
+
+def _untold(model: Model) -> dict[str, str]:
+    """Parameters with a tolerance that this recording cannot tell -> in words, what does the same there.
+
+    One after the other is taken by what it changes that those before it do not, the largest first.
+    """
+    plant, rig = model.plant, model.rig
+    sheet = {s: p for s, p in plant.parameters.items() if p.tolerance}
+    sigma = np.array([rig.channels[n].sigma for n in rig.predict])
+    columns = {}
+    for symbol, p in sheet.items():  # by central differences: a curve of the model would tell any two apart
+        ends = (p.value * (1 + sign * STEP * p.tolerance) for sign in (1, -1))
+        high, low = (model.predict({**model.values, symbol: value}) for value in ends)
+        columns[symbol] = (np.nan_to_num(high - low) / sigma / STEP / 2).ravel()
+    left, taken = dict(columns), []
+    size = {s: float(np.linalg.norm(c)) for s, c in columns.items()}
+    while left:
+        best = max(left, key=lambda s: float(np.linalg.norm(left[s])))
+        rest = float(np.linalg.norm(left[best]))
+        if rest <= max(TOLD, OWN * size[best]):
+            break
+        axis = left.pop(best) / rest
+        taken.append(best)
+        left = {s: c - axis * (axis @ c) for s, c in left.items()}
+    return {s: _same(columns[s], {t: columns[t] for t in taken}) for s in left}
+
+
+def _same(column: np.ndarray, taken: Mapping[str, np.ndarray]) -> str:
+    """What of the released parameters does what this one does, in words."""
+    if np.linalg.norm(column) <= TOLD or not taken:
+        return "nothing moves with it"
+    shares = np.linalg.lstsq(np.stack([*taken.values()], axis=1), column)[0]
+    found = [symbol for symbol, share in zip(taken, shares, strict=True) if abs(share) > SHARED]
+    return f"no motion of this log tells it from {', '.join(found) or 'the noise'}"
+
+
+def _rig(log: _Log, kept: Recording, model: str, held: bool, window: int | None, untold: Mapping[str, str]) -> str:
     settle = not window and held
     lines = [
         "# What is known of the machine; docs/diagnosis.md describes every entry.",
@@ -146,7 +194,7 @@ def _rig(log: _Log, kept: Recording, model: str, held: bool, window: int | None)
         "[parameters]  # in place of the model's own",
         "",
         "[tolerance]  # relative, of the model's values; a parameter that is not here is known",
-        *_tolerances(log.plant),
+        *_tolerances(log.plant, untold),
     ]
     for name in kept.channels:
         role = "input" if name in log.inputs else "output"
@@ -157,6 +205,7 @@ def _rig(log: _Log, kept: Recording, model: str, held: bool, window: int | None)
     return "\n".join(lines) + "\n"
 
 
-def _tolerances(plant: Plant) -> Sequence[str]:
+def _tolerances(plant: Plant, untold: Mapping[str, str]) -> Sequence[str]:
     known = [(s, p.value, TOLERANCES.get(s.partition("_")[0])) for s, p in plant.parameters.items()]
-    return [f"{s} = {share}  # of {value:.6g} {plant.unit(s)}" for s, value, share in known if value and share]
+    lines = {s: f"{s} = {share}  # of {v:.6g} {plant.unit(s)}" for s, v, share in known if v and share}
+    return [f"# {line}: {untold[s]}" if s in untold else line for s, line in lines.items()]

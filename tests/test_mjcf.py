@@ -222,7 +222,7 @@ def test_a_rig_from_a_model_and_a_log_runs_at_once(greygate, tmp_path, monkeypat
     assert greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm", *MAPPED)[0] == 0
     rig = load("arm")
     assert (rig.predict, rig.inputs, rig.window) == (("shoulder", "el_bow"), ("m1", "m2"), None)
-    assert {"damping_shoulder", "kp_m2", "mass_lower"} <= {*rig.uncertain()}
+    assert {"damping_shoulder", "kp_m2"} <= {*rig.uncertain()}
     code, printed, _ = greygate("simulate", "arm", "arm/identify.csv", "--out", "sim.csv", "--json")
     assert code == 0
     assert all(e["rms"] < 1e-6 for e in json.loads(printed)["rms"].values())
@@ -385,3 +385,21 @@ def test_mujocos_own_element_is_what_is_named_where_it_has_one(tmp_path):
     offered = fitting(rough.plant, rough.datasheet, general(rough, rough.to_explain()))
     assert "dry_friction_shoulder" not in offered  # it has some: the parameter is what is off
     assert "dry_friction_el_bow" in offered
+
+
+def test_what_no_motion_tells_apart_is_not_released_and_the_rig_says_so(greygate, tmp_path, monkeypatch):
+    """The motion of a pendulum knows inertia, weight, motor and damping only over one another: three numbers."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="bob"><joint name="hinge" axis="0 1 0" damping="0.05"/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.03"/></body></worldbody>'
+        '<actuator><motor name="m" joint="hinge" gear="3"/></actuator></mujoco>'
+    )
+    log(tmp_path, path, inputs(["m"]), ("m", "hinge"))
+    assert greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm")[0] == 0
+    assert len(load("arm").uncertain()) == 3
+    (said,) = [
+        line for line in (tmp_path / "arm" / "rig.toml").read_text().splitlines() if line.startswith("# mass_bob")
+    ]
+    assert "no motion of this log tells it from" in said
