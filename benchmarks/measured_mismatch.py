@@ -135,6 +135,7 @@ MAKERS: dict[str, Callable[[], tuple[Columns, Columns] | dict[str, Columns]]] = 
     "dfki": dfki,
     "dfki-mjcf": dfki,
     "bam": bam,
+    "bam-mjcf": bam,
 }
 
 

@@ -19,6 +19,7 @@ from greygate.mismatch import effects as effect_table
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.model import BLUR, EARLY, TIMING
 from greygate.mismatch.simulation import asked, check, corrected
+from greygate.plants import mjcf as mjcf_model
 from greygate.plants.plant import Equation, Plant
 from greygate.plants.symbolic import latex
 
@@ -98,7 +99,7 @@ def _outside(source: Path, out: Path, chosen: Plant, names: Mapping[str, str], m
     if names:
         raise InputError("--joint: the joints of a model have their names; leave it out")
     rig = rigs.load(source)
-    if out.absolute().parent == rig.folder.absolute() and out.name == f"{rig.plant.name}.xml":
+    if out.exists() and out.resolve() == mjcf_model.file_of(rig.plant).resolve():
         raise InputError(f"{out}: is the rig's own model; choose another --out")
     made = corrected_model(rig, chosen, out, meaning)
     with replacing(out) as new:

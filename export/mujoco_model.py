@@ -9,7 +9,7 @@ from greygate.mismatch.rig import Rig
 from greygate.plants import mjcf
 from greygate.plants.expressions import names, parse
 from greygate.plants.functions import FUNCTIONS, text
-from greygate.plants.plant import Equation, Plant
+from greygate.plants.plant import Plant
 
 HEAD = '''"""{meaning}
 
@@ -63,27 +63,25 @@ def corrected_model(rig: Rig, plant: Plant, out: Path, meaning: str) -> Correcte
 
     Raises InputError for an effect with a state of its own, or one that acts elsewhere than on joints.
     """
-    path, before = model_of(rig), rig.plant
+    before = rig.plant
     values = {s: plant.parameters[s].value for s in before.parameters}
     changed = {s: (p.value, values[s]) for s, p in before.parameters.items() if values[s] != p.value}
-    added = {place: _added(before, e, place) for place, e in plant.equations.items() if place in before.equations}
-    added = {place: terms for place, terms in added.items() if terms}
+    places = [place for place in before.equations if place.startswith("motion_")]
+    added = {place: terms for place in places if (terms := _added(plant, place))}
     if more := [s for s in plant.states if s not in before.states]:
         raise InputError(
             f"diagnosis: {', '.join(more)} is a state of an effect, which a callback of MuJoCo has not yet"
         )
     python = _python(before, plant, added, out, meaning) if added else ""
     told = tuple(f"{place}.{term}" for place, terms in added.items() for term in terms)
-    return Corrected(mjcf.corrected(path, before, values), python, changed, told)
+    return Corrected(mjcf.corrected(before, values), python, changed, told)
 
 
-def model_of(rig: Rig) -> Path:
-    """The file of a rig's model."""
-    return next(p for p in (rig.folder / f"{rig.plant.name}{end}" for end in (".xml", ".urdf")) if p.is_file())
-
-
-def _added(before: Plant, equation: Equation, place: str) -> dict[str, str]:
-    return {term: text for term, text in equation.terms.items() if term not in before.equations[place].terms}
+def _added(plant: Plant, place: str) -> dict[str, str]:
+    """The terms of a balance that the model itself has not: those of effects, and of the rig's plant.toml."""
+    own = plant.outside.own if plant.outside else ()
+    terms = plant.equations[place].terms.items()
+    return {term: text for term, text in terms if f"{place}.{term}" not in own and text not in plant.inputs}
 
 
 def _python(before: Plant, plant: Plant, added: Mapping[str, Mapping[str, str]], out: Path, meaning: str) -> str:

@@ -15,8 +15,8 @@ from greygate.mismatch.runs import Runs
 from greygate.mismatch.scales import noise
 from greygate.mismatch.uneven import resampled, varies
 from greygate.names import check_file_name
+from greygate.plants import kinds
 from greygate.plants.expressions import check_name
-from greygate.plants.kinds import KINDS
 from greygate.plants.plant import Parameter, Plant
 from greygate.plants.recording import Recording, check_sizes, run_name
 from greygate.plants.table import CsvTable, read_table
@@ -398,10 +398,10 @@ def _unit(plant: Plant, name: str) -> str | None:
 def _plant(rig: Path, name: str, channels: Collection[str]) -> Plant:
     own = rig.parent / check_file_name(name, f"{rig}: plant")
     known = {path.stem: path for path in sorted(PLANTS.glob("*/*.toml"))}
-    path = own if own.suffix in (".toml", *KINDS) else known.get(name, own)
+    path = own if own.suffix in (".toml", *kinds.KINDS) else known.get(name, own)
     if not path.exists():
         given = ", ".join(known)
         raise InputError(f"{rig}: plant {shown(name)} is unknown; give {given}, or a plant file beside rig.toml")
-    plant = KINDS[path.suffix].read(path, channels) if path.suffix in KINDS else Plant.read(path)
+    plant = kinds.read(path, channels)
     declared(plant)
     return plant

@@ -1,11 +1,14 @@
 """The kinds of simulators from outside (`outside`): the ending of a model's file, and who answers for it."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 from greygate.errors import InputError
 from greygate.plants import mjcf
+from greygate.plants.plant import Plant, read_entries
+from greygate.reading import read_toml
 
 KINDS: Mapping[str, ModuleType] = {".xml": mjcf, ".urdf": mjcf}
 """`read(path, recorded)` is the plant of a model; `bundle(path)` what a rig takes along of it; `forces(plant)` are the
@@ -17,3 +20,34 @@ def of_file(path: Path) -> ModuleType:
     if path.suffix not in KINDS:
         raise InputError(f"{path}: is no model that is known; give one of {', '.join(KINDS)}")
     return KINDS[path.suffix]
+
+
+def read(path: Path, recorded: Collection[str]) -> Plant:
+    """The plant of a model, or of a plant's TOML file, which may add to the `model` that it names. recorded: channels.
+
+    What it adds are inputs, parameters, definitions, and terms in the balances that the model has; `step` and `outputs`
+    are its own where it gives them. Raises InputError naming the file and the entry.
+    """
+    if path.suffix in KINDS:
+        return KINDS[path.suffix].read(path, recorded)
+    if "model" not in read_toml(path, "give a plant's TOML file"):
+        return Plant.read(path)
+    own = read_entries(path)
+    model = path.parent / own.pop("model")
+    base = of_file(model).read(model, recorded)
+    equations = dict(base.equations)
+    for name, equation in own.pop("equations", {}).items():
+        if name not in equations or equations[name].state != equation.state:
+            places = ", ".join(f"{place}.{e.state}" for place, e in equations.items())
+            raise InputError(f"{path}: equations.{name}: is no balance of {model.name}; it has {places}")
+        if twice := [term for term in equation.terms if term in equations[name].terms]:
+            raise InputError(f"{path}: equations.{name}: {model.name} has a term {twice[0]} there; rename one")
+        equations[name] = replace(equations[name], terms={**equations[name].terms, **equation.terms})
+    joined = {
+        key: {**getattr(base, key), **own.pop(key, {})} for key in ("parameters", "inputs", "states", "definitions")
+    }
+    return replace(base, name=path.stem, equations=equations, **joined, **{k: _tuple(v) for k, v in own.items()})
+
+
+def _tuple(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value

@@ -118,8 +118,12 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """MuJoCo as an `Outside`. settings: parameter -> where it stands. controls: the input of each control, or ""."""
+    """MuJoCo as an `Outside`.
 
+    path: of the model's file. settings: parameter -> where it stands. controls: the input of each control, or "".
+    """
+
+    path: Path
     model: Any
     stepped: tuple[str, ...]
     forced: int
@@ -227,20 +231,27 @@ def load(path: Path) -> Any:
         mujoco.set_mju_user_warning(told)
 
 
+def file_of(plant: Plant) -> Path:
+    """The file of a plant's model."""
+    assert isinstance(plant.outside, Simulated)
+    return plant.outside.path
+
+
 def names_of(plant: Plant) -> list[str]:
     """The names that the joints of a plant have in its model, in its order."""
     assert isinstance(plant.outside, Simulated)
     return [plant.outside.model.joint(j).name for j in range(plant.outside.forced)]
 
 
-def corrected(path: Path, plant: Plant, values: Mapping[str, float]) -> str:
+def corrected(plant: Plant, values: Mapping[str, float]) -> str:
     """The MJCF of a model with other values of some of its plant's parameters; it names the same files.
 
     A body whose mass, place of mass or inertia changes has them written down, whatever its geometry says.
     """
     assert isinstance(plant.outside, Simulated)
-    mujoco, model = _mujoco(), load(path)
-    spec = mujoco.MjSpec.from_file(str(path))
+    path = plant.outside.path
+    model = load(path)
+    spec = _mujoco().MjSpec.from_file(str(path))
     spec.compile()
     for symbol, settings in plant.outside.settings.items():
         if values[symbol] != plant.parameters[symbol].value:
@@ -417,7 +428,9 @@ class _Reading:
             for effect, name in ELEMENTS.items()
             if f"{name}_{j}" in self.settings
         }
-        outside = Simulated(model, tuple(self.states), len(self.joints), self.settings, own, elements, tuple(controls))
+        outside = Simulated(
+            self.path, model, tuple(self.states), len(self.joints), self.settings, own, elements, tuple(controls)
+        )
         return Plant(
             self.path.stem, self.parameters, self.inputs, self.states, self._equations(activations),
             outputs=tuple(self.states), step=float(model.opt.timestep), outside=outside,

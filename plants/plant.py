@@ -205,6 +205,8 @@ class Plant:
         <Plant lag: u [V] -> y; states y [V]>
         """
         found = _entries(declaration, folder, where)
+        if "model" in found:
+            raise InputError(f"{where}: model: only the plant of a rig may be one; name the file in rig.toml")
         needed = {key: found.get(key, {}) for key in ("parameters", "inputs", "states", "equations")}
         return cls(name, **found | needed | {key: tuple(found.get(key, ())) for key in ("outputs", "required")})
 
@@ -394,6 +396,7 @@ def _entries(declaration: Mapping, folder: Path | str, where: str) -> dict:
         "required": listed(line),
         "closure": check_closure,
         "experiments": named(line, check_name),
+        "model": check_file_name,  # which this plant adds to (`plants.kinds`)
     }
     return table(dict(declaration), f"{where}:", {}, entries)
 

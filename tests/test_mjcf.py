@@ -11,7 +11,8 @@ from greygate.mismatch.entries import fitting
 from greygate.mismatch.general import general
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
-from greygate.plants import mjcf
+from greygate.plants import kinds, mjcf
+from greygate.plants.plant import Plant
 from greygate.plants.simulator import simulate
 
 mujoco = pytest.importorskip("mujoco")
@@ -403,3 +404,33 @@ def test_what_no_motion_tells_apart_is_not_released_and_the_rig_says_so(greygate
         line for line in (tmp_path / "arm" / "rig.toml").read_text().splitlines() if line.startswith("# mass_bob")
     ]
     assert "no motion of this log tells it from" in said
+
+
+ADDED = """model = "arm.xml"
+outputs = ["el_bow"]
+[inputs]
+goal = "rad"
+[parameters]
+gain = [0.8, "N m/rad"]
+[definitions.controller]
+drive = {{ unit = "N m", error = "gain * (goal - el_bow)" }}
+[equations.{place}]
+v_el_bow = {{ controller = "drive" }}
+"""
+
+
+def test_a_plants_file_adds_to_a_model_what_that_has_not(tmp_path):
+    """A controller of the plant's file moves the arm as the same one of the model."""
+    write(tmp_path, actuators='<position name="goal" joint="el-bow" kp="0.8"/>')
+    given = inputs(["goal"])
+    wanted = stepped(tmp_path / "arm.xml", given)[:, 1]
+    write(tmp_path, actuators="")
+    (tmp_path / "servo.toml").write_text(ADDED.format(place="motion_el_bow"))
+    plant = kinds.read(tmp_path / "servo.toml", ["goal"])
+    assert (plant.name, plant.outputs, plant.inputs) == ("servo", ("el_bow",), {"goal": "rad"})
+    assert np.abs(simulate(plant, given, sample_time=DT, step=plant.step)["el_bow"] - wanted).max() < 1e-12
+    (tmp_path / "servo.toml").write_text(ADDED.format(place="motion_knee"))
+    with pytest.raises(InputError, match="motion_knee: is no balance of arm"):
+        kinds.read(tmp_path / "servo.toml", ["goal"])
+    with pytest.raises(InputError, match="only the plant of a rig may be one"):
+        Plant.read(tmp_path / "servo.toml")
