@@ -138,6 +138,8 @@ def _origin(plant: Plant, channel: str) -> bool:
     """Whether an offset of the channel is no more than another origin: no term asks where the position is."""
     if channel not in plant.states:
         return (units.powers(plant.unit(channel)) or {}).keys() & {*LENGTHS} != set()
+    if plant.outside and channel in plant.outside.stepped:
+        return False  # weights and joints there know where it is, though no term says so
     asked = {n for e in plant.equations.values() for n in names(e.terms.values())}
     asked |= {n for d in plant.definitions.values() for n in names(d.terms.values())}
     return channel in rates(plant) and channel not in asked

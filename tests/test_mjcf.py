@@ -382,6 +382,7 @@ def test_mujocos_own_element_is_what_is_named_where_it_has_one(tmp_path):
         "spring_shoulder": ["stiffness_shoulder"], "spring_el_bow": ["stiffness_el_bow"],
     }  # fmt: skip
     assert known["dry_friction_shoulder"].free[0].unit == "N m"
+    assert "sensor_offset_shoulder" in known  # its weight knows where it hangs
     rough = record(tmp_path, write(tmp_path))
     offered = fitting(rough.plant, rough.datasheet, general(rough, rough.to_explain()))
     assert "dry_friction_shoulder" not in offered  # it has some: the parameter is what is off
