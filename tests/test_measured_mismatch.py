@@ -16,7 +16,7 @@ from greygate.mismatch.model import FILTERS, Model, begun
 from greygate.mismatch.rig import load
 
 ROOT = Path(__file__).parent.parent
-QUANTIZED = {"dfki", "bam"}  # rigs whose sensors' steps are known
+QUANTIZED = {"dfki", "bam", "dfki-mjcf", "bam-mjcf"}  # rigs whose sensors' steps are known
 RIGS = sorted(path.parent for path in (ROOT / "recordings" / "rigs").glob("*/rig.toml"))
 
 
