@@ -54,9 +54,10 @@ class Roughly(TypedDict):
 
     tempered: bool
     iterations: int
+    enough: float
 
 
-ROUGHLY: Roughly = {"tempered": True, "iterations": 4}  # a fit of the data sheet's plant, where effects can be compared
+ROUGHLY: Roughly = {"tempered": True, "iterations": 4, "enough": ROUGH}  # a fit of the data sheet's plant, where effects can be compared
 
 
 @dataclass(frozen=True)
@@ -398,7 +399,7 @@ class Search:
             return True
         others = [u for u in fit.unknowns if u.symbol != TIMING]
         free = Unknown(TIMING, 0.0, self.rig.dt), Unknown(EARLY, 0.0, SPREAD, np.inf, 0.0, MOST_EARLY)
-        again = fit.likelihood.fit([*others, *free], fit.values, fit.shifts, **how)
+        again = fit.likelihood.fit([*others, *free], fit.values, fit.shifts, **{**how, "enough": ROUGH})
         self.between = again.values[EARLY] > MOVED * again.deviation(EARLY)
         return self.between
 
