@@ -124,6 +124,9 @@ def _sized(entry: dict, seen: Seen, every: bool) -> dict | None:
         parameters = {s: {k: v for k, v in p.items() if v != []} for s, p in parameters.items()}
     shapes = {s: p["typical"] for s, p in parameters.items() if p.get("shape")}
     strengths = [s for s in parameters if s not in shapes]
+    states = {s: {**state, "unit": _copied(state["unit"], seen)} for s, state in entry.get("states", {}).items()}
+    # a state of the effect's own moves little beside what it begins as
+    shapes |= {s: float(np.median(seen.of(state["start"], shapes))) for s, state in states.items()}
     for symbol, parameter in parameters.items():
         where, unity = _unity(entry, symbol, strengths)
         if where in seen.rig.plant.definitions and symbol in strengths and parameter.get("low") == 0.0:
@@ -135,13 +138,9 @@ def _sized(entry: dict, seen: Seen, every: bool) -> dict | None:
             largest = seen.size(where.removeprefix(SENSOR)) if where.startswith(SENSOR) else seen.largest(where)
             parameter["typical"] = SHARE * (largest or 1.0) / (column or 1.0)
         if "unit" not in parameter:
-            parameter["unit"] = unit_of_coefficient(
-                seen.rig, where, unity, {s: p.get("unit", "") for s, p in parameters.items()}
-            )
-    return entry | {
-        "parameters": {s: _ordered(p) for s, p in parameters.items()},
-        "states": {s: {**state, "unit": _copied(state["unit"], seen)} for s, state in entry.get("states", {}).items()},
-    }
+            known = {s: p.get("unit", "") for s, p in {**parameters, **states}.items()}
+            parameter["unit"] = unit_of_coefficient(seen.rig, where, unity, known)
+    return entry | {"parameters": {s: _ordered(p) for s, p in parameters.items()}, "states": states}
 
 
 def _released(entry: dict, symbol: str) -> dict:

@@ -287,10 +287,12 @@ class Model:
         for s in self.begins:
             read = s in self.recording.channels
             scope[s] = self._read_at(s, values, at) if read else self.smooth_rate(positions[s])[at]
+        brought = {s for effect in self.effects.values() for s in effect.states}  # they begin so in a free run, too
         out = np.empty((len(at), len(self.plant.states)))
         for j, (symbol, state) in enumerate(self.plant.states.items()):
             if symbol not in scope:
-                expression = state.start if self.window and state.start is not None else state.initial
+                begun = (self.window or symbol in brought) and state.start is not None
+                expression = state.start if begun else state.initial
                 scope[symbol] = scope.evaluate(expression) if isinstance(expression, str) else float(expression)
                 for bound, take in ((state.low, np.maximum), (state.high, np.minimum)):
                     if bound is not None:

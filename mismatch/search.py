@@ -57,7 +57,11 @@ class Roughly(TypedDict):
     enough: float
 
 
-ROUGHLY: Roughly = {"tempered": True, "iterations": 4, "enough": ROUGH}  # a fit of the data sheet's plant, where effects can be compared
+ROUGHLY: Roughly = {
+    "tempered": True,
+    "iterations": 4,
+    "enough": ROUGH,
+}  # a fit of the data sheet's plant, where effects can be compared
 
 
 @dataclass(frozen=True)

@@ -277,6 +277,58 @@ def test_dry_friction_is_named_where_only_speed_is_measured(tmp_path):
     assert 0.04 < low < 0.05 < high < 0.06
 
 
+ROOM = """
+step = 60.0
+outputs = ["room"]
+inputs = { heat = "W", out = "degC" }
+[parameters]
+capacity = [4e5, "J/K"]
+loss = [60.0, "W/K"]
+[states]
+room = { unit = "degC", initial = 18.0 }
+[equations.air]
+room = { storage = "capacity", heat = "heat", loss = "-loss * (room - out)" }
+"""
+WALL = """
+[states]
+room = { unit = "degC", initial = 18.0 }
+wall = { unit = "degC", initial = 18.0 }
+[equations.air]
+room = { storage = "capacity", heat = "heat", loss = "-loss * (room - out)", wall = "-40.0 * (room - wall)" }
+[equations.wall]
+wall = { storage = "2e6", air = "40.0 * (room - wall)" }
+"""
+
+
+def test_a_wall_that_stores_heat_is_named_and_begins_as_warm_as_the_room(tmp_path):
+    """Free run: what the effect brings begins as it says there, too."""
+    rng, t = np.random.default_rng(1), np.arange(600) * 300.0
+    heat, out = 1500.0 * np.repeat(rng.random(25) > 0.5, 24), 5 + 4 * np.sin(2 * np.pi * t / 86400)
+    (tmp_path / "plant.toml").write_text(ROOM)
+    (tmp_path / "wall.toml").write_text(ROOM.partition("[states]")[0] + WALL.lstrip())
+    room = simulate(Plant.read(tmp_path / "wall.toml"), {"heat": heat, "out": out}, sample_time=300.0, step=60.0)[
+        "room"
+    ]
+    columns = np.column_stack([t, heat, out, room + 0.03 * rng.standard_normal(len(t))])
+    np.savetxt(tmp_path / "identify.csv", columns, delimiter=",", header="t,heat,out,room", comments="", fmt="%.10g")
+    (tmp_path / "rig.toml").write_text(
+        'plant = "plant.toml"\nsample_time_s = 300.0\npredict = ["room"]\n'
+        "parameters = { capacity = 4e5, loss = 60.0 }\ntolerance = { capacity = 0.1, loss = 0.1 }\n"
+        '[channels]\nheat = { unit = "W", role = "input" }\nout = { unit = "degC", role = "input" }\n'
+        'room = { unit = "degC", role = "output", noise_rms = 0.03 }\n'
+    )
+    rig = load(tmp_path)
+    known = table.known(rig, rig.to_explain())
+    found = diagnose(rig, {key: known[key] for key in ("hidden_storage", "leak", "input_lag_heat")}).as_dict()
+    assert [effect["id"] for effect in found["effects"]] == ["hidden_storage"]
+    flow, time = found["effects"][0]["parameters"].values()
+    assert (flow["unit"], time["unit"]) == ("W/degC", "s")
+    assert flow["ci95"][0] < 40.0 < flow["ci95"][1]
+    assert time["ci95"][0] < 5e4 < time["ci95"][1]
+    model = Model(rig, rig.to_explain(), {"hidden_storage": known["hidden_storage"]})
+    assert model.states(model.values)[0][0].tolist() == [18.0, 18.0]
+
+
 def test_faults_of_a_recording_are_marked(rigs):
     effects = table.general(rigs["two"], recording(rigs["two"]), every=True)
     assert {e.id.removesuffix("_x").removesuffix("_y") for e in effects.values() if e.fault} == {
