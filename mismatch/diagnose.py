@@ -128,6 +128,7 @@ class State:
     found: what is claimed, with its fits. claims: what the gates left. explained: the share of what can be explained
     that `found` explains. left: what it leaves, in words, where the noise does not say that. unlike: why a smooth curve
     that is claimed is another one. unknown: where something is missing that no effect explains, and a term for it.
+    supported: what the search found before the gates.
     """
 
     search: Search
@@ -140,6 +141,7 @@ class State:
     left: str = ""
     unlike: str = ""
     unknown: dict = field(default_factory=dict)
+    supported: Hypothesis = field(default_factory=Hypothesis)
 
     @property
     def open(self) -> bool:
@@ -177,7 +179,7 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     """The steps of a diagnosis, once, with the noise that the search has now."""
     search.within = WITHIN
     state = _supported(search, progress)
-    for step in (_claimed, _confident, _lasting, _closed):
+    for step in (_claimed, _confident, _regained, _lasting, _closed):
         state = step(state)
     return _diagnosis(state)
 
@@ -203,7 +205,7 @@ def _supported(search: Search, progress: Progress) -> State:
     if claimed is not found:
         share = found.of.explained(found, selection.plain)
         claims.refused.append(f"{_named(search, found.best)} is not claimed: it takes {share:.0%} of what is missing")
-    return State(search, selection, progress, selection.again(found, claims), claims)
+    return State(search, selection, progress, selection.again(found, claims), claims, supported=found.best)
 
 
 def _claimed(state: State) -> State:
@@ -305,6 +307,27 @@ def _confident(state: State) -> State:
         if less.verdict == Verdict.UNEXPLAINED and max(sure.values()) >= LEAST_SURE:
             break
         state = less
+    return state
+
+
+def _regained(state: State) -> State:
+    """What the recording supported and a gate refused is asked once more beside what is left of the claims.
+
+    A companion that has gone since may have stood in its way.
+    """
+    for key in state.supported.effects:
+        search, best = state.search, state.found.best
+        if not (state.open and best.effects) or key in best.effects or search.skips(Hypothesis((key,))):
+            continue
+        more = best.plus(Hypothesis((key,)))
+        fit = state.selection.refit(more, state.claims.fit)
+        claims = earned(search, state.selection.plain, more, fit, state.selection.refit, state.progress)
+        if claims.best != more:
+            continue
+        kept = [why for why in state.claims.refused if not why.startswith(f"{named(search, key)} is not claimed")]
+        again = replace(state, found=state.selection.again(state.found, claims), claims=replace(claims, refused=kept))
+        again = _confident(_claimed(again))
+        state = again if key in again.found.best.effects else state
     return state
 
 
