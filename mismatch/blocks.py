@@ -219,9 +219,12 @@ class Judge:
         return f"the parameters explain this recording, not the next: {times:.2g} times the error {where}"
 
     def share(self, plain: Fit, without: Fit, fit: Fit) -> float:
-        """The share of the squared error of `plain` that `fit` has less than `without`, in the mean over channels."""
+        """The share of the squared error of `plain` that `fit` has less than `without`, in the mean over channels.
+
+        At most 1: a run without it may err more than the plain one.
+        """
         squared = [np.mean(self.errors(f.values) ** 2, axis=0) for f in (plain, without, fit)]
-        return float(np.mean((squared[1] - squared[2]) / (squared[0] + TINY)))
+        return min(float(np.mean((squared[1] - squared[2]) / (squared[0] + TINY))), 1.0)
 
 
 def _draws(before: np.ndarray, after: np.ndarray) -> list[tuple[float, float]]:

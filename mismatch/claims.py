@@ -83,7 +83,7 @@ def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
     for symbol in hypothesis.released:
         sheet = search.sheet[symbol]
         value, (low, high) = fit.values[symbol], _within(fit, symbol)
-        if abs(value - sheet.value) <= sheet.tolerance * abs(sheet.value) or low <= sheet.value <= high:
+        if abs(value - sheet.value) <= sheet.reach or low <= sheet.value <= high:
             out[symbol] = "it does not lie outside its tolerance for certain"
     return out
 

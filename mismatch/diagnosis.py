@@ -261,7 +261,7 @@ class Diagnosis:
         named = {f.symbol for key in self.best.effects for f in self.search.effects[key].free}
         for u in sorted(fit.unknowns, key=lambda u: u.symbol not in self.best.released):
             p = plant.parameters.get(u.symbol)
-            if p is None or not p.tolerance or u.symbol in named:
+            if p is None or not p.reach or u.symbol in named:
                 continue
             out[u.symbol] = self._parameter(u.symbol, p)
         return out
@@ -272,8 +272,7 @@ class Diagnosis:
         outside = {"outside_tolerance": True} if symbol in self.best.released else {}
         if self.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) or self._drawn(symbol):
             # what is missing draws a parameter, as far as it may go: no better known than on the data sheet
-            reach = p.tolerance * abs(p.value)
-            low, high, outside = min(low, p.value - reach), max(high, p.value + reach), {}
+            low, high, outside = min(low, p.value - p.reach), max(high, p.value + p.reach), {}
         return {"value": value, "ci95": [low, high], "unit": p.unit, **outside}
 
     def _drawn(self, symbol: str) -> bool:

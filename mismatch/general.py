@@ -226,7 +226,7 @@ def _there(seen: Seen, where: str, unity: str, shapes: Mapping[str, float]) -> b
         return False
     new = seen.of(unity, shapes)
     for text in table.terms.values():
-        if not any(plant.parameters[n].tolerance for n in names([text]) if n in plant.parameters):
+        if not any(plant.parameters[n].reach for n in names([text]) if n in plant.parameters):
             continue
         old = seen.of(text)
         if len(old) == len(new) and (_alike(old, new) or _alike(old - np.mean(old), new - np.mean(new))):

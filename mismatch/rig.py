@@ -32,6 +32,7 @@ LONGEST = 1e9  # s of a sample, a window, a settling: thirty years
 MOST = 100_000  # steps of integration in a sample; with more the simulation seems to hang
 IDENTIFY, HOLDOUT = "identify.csv", "holdout.csv"  # the recordings, where rig.toml lists no others
 IN = "@"  # between a parameter and the recording that has a value of its own: mass@run2
+UNKNOWN = "is no entry of [parameters]; give {} there"
 UNIFORM_VARIANCE = 12  # an error spread evenly over a width has the variance width^2 / 12
 
 
@@ -55,10 +56,19 @@ class Channel:
 
 @dataclass(frozen=True)
 class Own:
-    """What differs in one recording: values of parameters there, and how uncertain they are (relative)."""
+    """What differs in one recording: values of parameters there, and how uncertain they are.
+
+    tolerance: relative. plus_minus: in the parameter's unit.
+    """
 
     parameters: Mapping[str, float] = field(default_factory=dict)
     tolerance: Mapping[str, float] = field(default_factory=dict)
+    plus_minus: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def unsure(self) -> tuple[str, ...]:
+        """The parameters that are fitted in that recording alone."""
+        return (*self.tolerance, *self.plus_minus)
 
 
 @dataclass(frozen=True)
@@ -112,16 +122,17 @@ class Rig:
         if own is None:
             return self
         parameters, anew = dict(self.plant.parameters), self._beginning()
-        for symbol in (*own.parameters, *own.tolerance):
+        for symbol in (*own.parameters, *own.unsure):
             p = parameters[symbol]
             value = own.parameters.get(symbol, p.value)
-            uncertain = own.tolerance.get(symbol, p.tolerance if symbol in anew or value == p.value else 0.0)
-            parameters[symbol] = replace(p, value=value, tolerance=uncertain if value else 0.0)
+            if symbol in own.unsure or not (symbol in anew or value == p.value):
+                p = replace(p, tolerance=own.tolerance.get(symbol, 0.0), plus_minus=own.plus_minus.get(symbol, 0.0))
+            parameters[symbol] = replace(p, value=value)
         return replace(
             self,
             plant=replace(self.plant, parameters=parameters),
             datasheet={**self.datasheet, **own.parameters},
-            anew=tuple(dict.fromkeys((*self.anew, *own.tolerance))),
+            anew=tuple(dict.fromkeys((*self.anew, *own.unsure))),
             own={},
         )
 
@@ -135,7 +146,7 @@ class Rig:
             return {}
         own = self.own.get(name, Own())
         there = self.of(name).plant.parameters
-        return {s: f"{s}{IN}{name}" for s in there if s in {*self._beginning(), *own.tolerance} and there[s].tolerance}
+        return {s: f"{s}{IN}{name}" for s in there if s in {*self._beginning(), *own.unsure} and there[s].reach}
 
     def uncertain(self) -> dict[str, Parameter]:
         """Every value that is fitted -> the data sheet's: of shared parameters, then of each recording's own."""
@@ -143,7 +154,7 @@ class Rig:
         own = {name: self.fitted_in(name) for name in names}
         kept = [{*own[name], *self.own.get(name, Own()).parameters} for name in names]
         found = {
-            s: p for s, p in self.plant.parameters.items() if p.tolerance and not all(s in symbols for symbols in kept)
+            s: p for s, p in self.plant.parameters.items() if p.reach and not all(s in symbols for symbols in kept)
         }
         for name in names:
             found |= {key: self.of(name).plant.parameters[s] for s, key in own[name].items()}
@@ -231,13 +242,16 @@ NEEDED = {
     "parameters": named(number, check_name),
     "channels": named(lambda value, where: table(value, where, CHANNEL, ERRORS, others=True), check_name),
 }
-TOLERANCE = named(within(0.0, np.nextafter(1.0, 0.0), "give a relative uncertainty, 0 to 1"), check_name)
-OWN = {"parameters": named(number, check_name), "tolerance": TOLERANCE}
+UNSURE = {
+    "tolerance": named(within(0.0, 1.0, "give a relative uncertainty, 0 to 1, or a plus_minus"), check_name),
+    "plus_minus": named(within(0.0, np.inf, "give 0 or more, in the parameter's unit"), check_name),
+}
+OWN = {"parameters": named(number, check_name), **UNSURE}
 OPTIONAL = {
     "window_s": within(0.0, LONGEST, "give seconds"),
     "settle_s": within(0.0, LONGEST, "give seconds"),
     "anew": listed(line),
-    "tolerance": TOLERANCE,
+    **UNSURE,
     "identify": listed(check_file_name),
     "holdout": listed(check_file_name),
     "recordings": named(lambda value, where: table(value, where, {}, OWN), line),
@@ -273,15 +287,14 @@ def load(folder: Path | str) -> Rig:
         for where, problem in check(found, plant):
             raise InputError(f"{path}: {where}: {problem}")
     dt, window = found["sample_time_s"], found.get("window_s")
-    tolerance = found.get("tolerance", {})
+    tolerance, absolute = (found.get(key, {}) for key in UNSURE)
     own = {symbol: plant.parameters[symbol].value for symbol in (plant.outside.parameters if plant.outside else ())}
     datasheet = own | found["parameters"]
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
     parameters = {}
     for symbol, p in plant.parameters.items():
         value = switched.get(symbol, datasheet.get(symbol, p.value))
-        uncertain = tolerance.get(symbol, 0.0) if value else 0.0  # a share of nothing is nothing
-        parameters[symbol] = Parameter(value, p.unit, uncertain, p.meaning)
+        parameters[symbol] = Parameter(value, p.unit, tolerance.get(symbol, 0.0), p.meaning, absolute.get(symbol, 0.0))
     rig = Rig(
         replace(plant, parameters=parameters),
         datasheet,
@@ -337,12 +350,21 @@ def _wrong_parameters(found: Mapping, plant: Plant) -> Mistakes:
     if missing := [s for s in plant.required if s not in datasheet]:
         them = "it" if len(missing) == 1 else "them"
         yield "parameters", f"{', '.join(missing)} missing; {plant.name} needs {them}"
-    for symbol in found.get("tolerance", {}):
-        if symbol not in (plant.parameters if plant.outside else datasheet):  # a model has the values itself
-            yield f"tolerance.{symbol}", "is no entry of [parameters]; give its value there"
+    known = plant.parameters if plant.outside else datasheet  # a model has the values itself
+    yield from _wrong_uncertainties(found, known, "", "its value")
     for symbol in found.get("anew", ()):
         if symbol not in datasheet:
             yield "anew", f"{shown(symbol)} is no entry of [parameters]; give its value there"
+
+
+def _wrong_uncertainties(found: Mapping, known: Mapping, where: str, what: str) -> Mistakes:
+    for key in UNSURE:
+        for symbol in found.get(key, {}):
+            if symbol not in known:
+                yield f"{where}{key}.{symbol}", UNKNOWN.format(what)
+    for symbol in found.get("plus_minus", {}):
+        if symbol in found.get("tolerance", {}):
+            yield f"{where}plus_minus.{symbol}", "has a tolerance, too; give one of both"
 
 
 def _wrong_channels(found: Mapping, plant: Plant) -> Mistakes:
@@ -382,10 +404,10 @@ def _wrong_recordings(found: Mapping, plant: Plant) -> Mistakes:
     for name, own in found.get("recordings", {}).items():
         if name not in files:
             yield f"recordings.{name}", f"is no recording; identify and holdout list {', '.join(sorted(files))}"
-        for key in ("parameters", "tolerance"):
-            for symbol in own.get(key, {}):
-                if symbol not in found["parameters"]:
-                    yield f"recordings.{name}.{key}.{symbol}", "is no entry of [parameters]; give its usual value there"
+        for symbol in own.get("parameters", {}):
+            if symbol not in found["parameters"]:
+                yield f"recordings.{name}.parameters.{symbol}", UNKNOWN.format("its usual value")
+        yield from _wrong_uncertainties(own, found["parameters"], f"recordings.{name}.", "its usual value")
 
 
 def _unit(plant: Plant, name: str) -> str | None:

@@ -28,7 +28,7 @@ from greygate.progress import Budget
 SHORT, SHORT_SHARES = 40, (0.1, 2.0)  # samples of a window in the screen; of the memory of the fastest channel
 LONG_WINDOW, LONG_SHARES = 100, (0.25, 5.0)  # in the final fit: two integrators' errors stay below the noise so far
 WITHIN, TOLERANCE = 4.0, 2.0  # standard deviations within which a toleranced parameter is fitted; its tolerance
-RELEASED = 20.0  # times or part of its value, within which a parameter whose tolerance is lifted is fitted
+RELEASED = 20.0  # times or part of its value, or times its plus_minus, within which a released parameter is fitted
 EXACT, FARTHEST = 0.01, 0.05  # of a sample, RMS and at most: the uncertainty of the instant at which an input acts
 MOVED = 4.0  # standard deviations, by which inputs must act early to have moved between the samples;
 MIDDLE, SPREAD = MOST_EARLY / 2, MOST_EARLY * 12**-0.5  # then they are early by any part, up to the most, alike
@@ -157,9 +157,11 @@ class Search:
         found, within = [], within or self.within
         for symbol in self.toleranced:
             p = self.sheet[symbol]
-            scale = abs(p.value) * p.tolerance / 2
+            scale = p.reach / 2
             if symbol in hypothesis.released:
                 low, high = sorted((p.value / RELEASED, p.value * RELEASED))
+                if p.plus_minus:  # it may have either sign
+                    low, high = p.value - RELEASED * p.reach, p.value + RELEASED * p.reach
                 found.append(Unknown(symbol, p.value, scale, np.inf, low, high))
             else:
                 reach = within * scale

@@ -43,7 +43,9 @@ UNMET = {
     "near_zero": "{} is never near zero",
     "often_high": "{} is never at rest at its highest",
     "often_low": "{} is never at rest at its lowest",
+    "may_be_negative": "{} measures what cannot be negative",
     "never_negative": "{} goes below zero",
+    "comes_down": "{} stays far above zero",
     "several_levels": "{} has few levels only",
     "several_rates": "{} has few rates only",
 }
@@ -211,8 +213,8 @@ class Seen:
         if kind == "recorded":
             return name in self.recorded
         state = self.rig.plant.states.get(name)
-        if kind == "never_negative" and state and isinstance(state.low, float) and state.low >= 0:
-            return False  # nor is what it measures
+        if kind == "may_be_negative":
+            return not (state and isinstance(state.low, float) and state.low >= 0)
         tests = {
             "moves": self._moves,
             "turns": lambda s: _often(s, s > 0, s < 0) or (_often(s, _slow(s)) and not _slow(s).all()),
@@ -220,7 +222,8 @@ class Seen:
             "near_zero": lambda s: _often(s, np.abs(s) < NEAR * np.max(np.abs(s))) or _often(s, s > 0, s < 0),
             "often_high": lambda s: np.sum(s >= s.max() - END * np.ptp(s)) > LEVELS and np.ptp(s) > 0,
             "often_low": lambda s: np.sum(s <= s.min() + END * np.ptp(s)) > LEVELS and np.ptp(s) > 0,
-            "never_negative": lambda s: s.min() > -NEGATIVE * np.max(np.abs(s)) and s.min() < np.max(s) / 2,
+            "never_negative": lambda s: s.min() > -NEGATIVE * np.max(np.abs(s)),
+            "comes_down": lambda s: s.min() < np.max(s) / 2,
             "several_levels": lambda s: len(np.unique(np.abs(s))) > LEVELS,
             "several_rates": lambda s: len(np.unique(np.abs(self._changes(name)).round(DIGITS))) > LEVELS,
         }  # fmt: skip

@@ -11,6 +11,7 @@ from greygate.mismatch.rig import Rig
 from greygate.mismatch.selection import APART
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.expressions import names
+from greygate.plants.plant import Parameter
 
 EXPERIMENTS = {
     "x": "the same moves on another part of the travel, up to its ends",
@@ -171,24 +172,36 @@ def where(found: Mapping) -> list[tuple[str, str]]:
 
 def parameter(result: Diagnosis, name: str, found: Mapping, rig: Rig | None = None) -> str:
     """A fitted parameter beside the value of its data sheet. rig: as it is in one recording."""
-    given = (rig or result.rig).plant.parameters[name]
-    factor, _ = display_unit(given.unit, abs(found["value"]))
     off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else ""
-    sheet = f"data sheet {given.value * factor:.5g} ± {100 * given.tolerance:g} %"
-    return f"{name:<14} {amount(found['value'], found['ci95'], found['unit'])}  ({sheet}){off}"
+    sheet = given((rig or result.rig).plant.parameters[name], found["value"])
+    return f"{name:<14} {amount(found['value'], found['ci95'], found['unit'])}  (data sheet {sheet}){off}"
+
+
+def given(sheet: Parameter, value: float) -> str:
+    """What the data sheet says of a parameter, in the unit in which `value` is written."""
+    factor, _ = display_unit(sheet.unit, abs(value))
+    unsure = f"{sheet.plus_minus * factor:.5g}" if sheet.plus_minus else f"{100 * sheet.tolerance:g} %"
+    return f"{sheet.value * factor:.5g} ± {unsure}"
 
 
 def fit_table(fit: Mapping) -> list[str]:
     """RMS of simulated minus recorded, one line for each recording and channel."""
-    lines = [(recording, channel, rms) for recording, channels in fit.items() for channel, rms in channels.items()]
+    lines = fit_rows(fit)
     first, second = (max(least, *(len(line[i]) + 1 for line in lines)) for i, least in enumerate((10, 8)))
     out = [row("fit (RMS)", f"{'':{first + second + 4}}{'data sheet':>11}{'calibrated':>12}{'corrected':>11}")]
-    for recording, channel, rms in lines:
-        values = [rms[kind] for kind in ("simulation", "calibrated", "corrected")]
-        factor, unit = display_unit(rms["unit"], max((v for v in values if v is not None), default=0.0))
-        texts = [DIVERGES if v is None else f"{factor * v:.4g}" for v in values]
+    for recording, channel, unit, *texts in lines:
         name = f"{recording:<{first}}{channel:<{second}}{unit:<4}"
         out.append(row("", f"{name}{texts[0]:>11}{texts[1]:>12}{texts[2]:>11}"))
+    return out
+
+
+def fit_rows(fit: Mapping) -> list[tuple[str, ...]]:
+    """(recording, channel, unit, RMS of the data sheet's simulation, calibrated, corrected)."""
+    out = []
+    for recording, channel, rms in ((r, c, rms) for r, channels in fit.items() for c, rms in channels.items()):
+        values = [rms[kind] for kind in ("simulation", "calibrated", "corrected")]
+        factor, unit = display_unit(rms["unit"], max((v for v in values if v is not None), default=0.0))
+        out.append((recording, channel, unit, *(DIVERGES if v is None else f"{factor * v:.4g}" for v in values)))
     return out
 
 

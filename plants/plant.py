@@ -28,12 +28,21 @@ SHORTEST = 1e-9  # s, of a step
 
 @dataclass(frozen=True)
 class Parameter:
-    """A constant of the plant: `value` in `unit`, with a relative `tolerance` (0: known exactly)."""
+    """A constant of the plant: `value` in `unit`, with a relative `tolerance` (0: known exactly).
+
+    plus_minus: the uncertainty in `unit`, in place of a tolerance, as of a value that is 0.
+    """
 
     value: float
     unit: str
     tolerance: float = 0.0
     meaning: str = ""
+    plus_minus: float = 0.0
+
+    @property
+    def reach(self) -> float:
+        """The uncertainty in `unit`, of two standard deviations; 0 where the value is known."""
+        return self.plus_minus or self.tolerance * abs(self.value)
 
 
 @dataclass(frozen=True)

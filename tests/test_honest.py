@@ -59,6 +59,14 @@ def test_a_correction_is_worn_where_the_run_on_unseen_blocks_is_better_with_it(s
     assert "no smaller where not learnt from" in judge.no_better(right, right)
 
 
+def test_a_name_takes_no_more_than_all(slipping):
+    """A run without it may err more than the calibrated one."""
+    _, plain, _, right = slipping
+    judge = Judge(right.likelihood)
+    assert 0.9 < judge.share(plain, plain, right) < 1.0
+    assert judge.share(plain, spoilt(right, "speed_slip", -30.0), right) == 1.0
+
+
 def test_what_is_taken_back_is_no_claim_and_the_diagnosis_says_why(slipping, monkeypatch):
     search = slipping[0]
     monkeypatch.setattr(Judge, "no_better", lambda *given: "with it the run is no better")
@@ -293,6 +301,20 @@ def test_a_reading_that_is_never_negative_may_be_of_a_motion_that_is(tmp_path):
     """A sensor acts on what is there: a pulse counter shows no sign."""
     kept, _ = offered(motor(tmp_path / "rig"), w=np.abs)
     assert "sensor_rectified" in kept
+
+
+def why_not(rig, **changed) -> dict[str, str]:
+    recording = rig.recording(rig.folder / "identify.csv")
+    channels = {**recording.channels, **{n: change(recording[n]) for n, change in changed.items()}}
+    return table.unmet(rig, Recording(rig.dt, channels, recording.units))
+
+
+def test_why_a_reading_cannot_have_lost_its_sign_is_true(tmp_path):
+    rig = load(motor(tmp_path / "rig"))
+    assert why_not(rig)["sensor_rectified"] == "w goes below zero"
+    assert why_not(rig, w=lambda w: 293.0 + np.abs(w))["sensor_rectified"] == "w stays far above zero"
+    bounded = replace(rig.plant, states={s: replace(state, low=0.0) for s, state in rig.plant.states.items()})
+    assert why_not(replace(rig, plant=bounded))["sensor_rectified"] == "w measures what cannot be negative"
 
 
 # -- what is left, and how much --------------------------------------------------------------------------------------

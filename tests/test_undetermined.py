@@ -1,11 +1,13 @@
 """Intervals hold the truth where a recording knows parameters only together."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from small_plants import steps, write
 
+from greygate.errors import InputError
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.rig import load
 from greygate.mismatch.undetermined import deviations
@@ -77,3 +79,66 @@ def test_a_common_factor_that_no_motion_tells_is_in_every_interval(tmp_path, fac
     for symbol, true in SHEET.items():
         low, high = parameters[symbol]["ci95"]
         assert low < true < high, symbol
+
+
+TILTED = CART.replace('viscous = [8.0, "N s/m"]', 'viscous = [8.0, "N s/m"], tilt = [0.0, "N"]').replace(
+    ' viscous = "-', ' tilt = "tilt", viscous = "-'
+)
+
+
+def tilted(folder: Path, tilt: float, known: str) -> Path:
+    """A cart on a rail that the data sheet takes for level; known: what rig.toml says of that."""
+    u, read = steps(5, -1.5, 1.5, 25, 400), []
+    v = 0.0
+    for volt in u.tolist():
+        read.append(v)
+        end = (5 * volt + tilt) / 8
+        v = end + (v - end) * np.exp(-8.0 * 0.02)
+    noisy = np.array(read) + 1e-3 * np.random.default_rng(5).standard_normal(400)
+    channels = {"u": ("V", "input", None, u), "v": ("m/s", "output", 1e-3, noisy)}
+    write(folder, TILTED, {**SHEET, "tilt": 0.0}, {"viscous": 0.1}, channels, 0.02)
+    sheet = (folder / "rig.toml").read_text()
+    (folder / "rig.toml").write_text(sheet + known)
+    return folder
+
+
+@pytest.mark.parametrize(("tilt", "verdict"), [(0.03, "consistent"), (0.6, "parameter_error")])
+def test_a_value_of_0_has_an_uncertainty_in_its_unit(tmp_path, greygate, tilt, verdict):
+    folder = tilted(tmp_path / "rig", tilt, "[plus_minus]\ntilt = 0.05\n")
+    rig = load(folder)
+    assert rig.uncertain()["tilt"].reach == 0.05
+    found = diagnose(rig).as_dict()
+    low, high = found["parameters"]["tilt"]["ci95"]
+    assert (found["verdict"], low < tilt < high) == (verdict, True)
+    assert high - low < 0.02
+    assert found["parameters"]["tilt"].get("outside_tolerance", False) is (verdict == "parameter_error")
+    if verdict == "consistent":
+        assert "(data sheet 0 ± 0.05)" in greygate("diagnose", folder)[1]
+
+
+@pytest.mark.parametrize(
+    ("known", "problem"),
+    [
+        ("[plus_minus]\ntilt = -0.05\n", "plus_minus.tilt -0.05 is too small; give 0 or more"),
+        ("[plus_minus]\nslope = 0.05\n", "plus_minus.slope: is no entry of [parameters]; give its value there"),
+        ("[plus_minus]\nviscous = 0.5\n", "plus_minus.viscous: has a tolerance, too; give one of both"),
+        ("[recordings.identify.plus_minus]\nslope = 1.0\n", "recordings.identify.plus_minus.slope: is no entry"),
+    ],
+)
+def test_an_uncertainty_is_refused_that_cannot_be(tmp_path, known, problem):
+    with pytest.raises(InputError, match=re.escape(problem)):
+        load(tilted(tmp_path / "rig", 0.0, known))
+
+
+def test_a_tolerance_may_be_all_of_a_value(tmp_path):
+    folder = cart(tmp_path / "rig", 1.0, 3)
+    sheet = (folder / "rig.toml").read_text()
+    (folder / "rig.toml").write_text(sheet.replace("mass = 0.3", "mass = 1.0"))
+    low, high = diagnose(load(folder)).as_dict()["parameters"]["gain"]["ci95"]
+    assert low < 5.0 < high
+
+
+def test_one_recording_may_know_a_value_of_0_less_than_the_others(tmp_path):
+    folder = tilted(tmp_path / "rig", 0.3, "[recordings.identify]\nplus_minus = { tilt = 0.5 }\n")
+    low, high = diagnose(load(folder)).as_dict()["recordings"]["identify"]["parameters"]["tilt"]["ci95"]
+    assert low < 0.3 < high
