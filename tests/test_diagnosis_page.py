@@ -4,16 +4,22 @@ import base64
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from greygate.mismatch import rig
+from greygate.mismatch import rig, words
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.words import amount
+from greygate.pages.diagnosis import advice
 from greygate.pages.diagnosis import page as draw
 from greygate.pages.diagnosis.residual import binned, dependence, residuals
+from greygate.pages.diagnosis.sections import _inputs, _within
 
 PLANT = """step = 1e-3
 outputs = ["x"]
@@ -88,7 +94,10 @@ def test_the_page_needs_nothing_else_and_every_picture_is_whole(drum):
     pictures = charts(page)
     assert len(pictures) == 1 + 4 + 4 + 1  # largest misfit, x v a t, maps, ladder
     runs = re.findall(r'<script type="application/json">(.*?)</script>', page, re.S)
-    (traces,) = (json.loads(run)["traces"] for run in runs)  # to zoom
+    first, traces = (json.loads(run)["traces"] for run in runs)  # to zoom
+    assert [(name, trace["below"]) for name, trace in first.items()] == [
+        ("recorded", False), ("data sheet", False), ("corrected", False), ("x_drum", True),
+    ]  # fmt: skip
     assert list(traces) == ["calibrated", "corrected"]
     before, after = (np.frombuffer(base64.b64decode(t["y"]["bdata"]), "<f4") for t in traces.values())
     assert min(np.isfinite(before).mean(), np.isfinite(after).mean()) > 0.95
@@ -105,8 +114,85 @@ def test_the_page_says_what_the_diagnosis_says(drum):
     assert "<b>speed_slip</b>: slip per travel that grows with speed" in page
     value = found["effects"][0]["parameters"]["speed_slip"]
     assert amount(value["value"], value["ci95"], value["unit"]).value in page
+    known = amount(value["value"], value["ci95"], value["unit"])
+    assert f"<td>{known.low} to {known.high}</td>" in page
     framed = re.findall(r'<figure class="told"><figcaption><b>(\w+)</b>', page)
     assert framed == found["where"][0]["depends_on"]
+
+
+def test_the_first_screen_says_how_sure_it_is_and_what_to_do_next(drum):
+    result, page = drum
+    first = page[: page.index('id="fit"')]
+    sure = result.as_dict()["effects"][0]["confidence"]
+    assert f"confidence {sure:.2g}: {advice.trust(sure)}" in first
+    assert f"Simulate with speed_slip: greygate simulate {result.rig.folder} FILE.csv" in first
+    foot = page[page.rindex('<p class="soft">') :]
+    assert f"greygate diagnose {result.rig.folder}, {date.today()}" in foot
+
+
+def test_figures_are_tables(drum):
+    result, page = drum
+    figures = page[page.index('id="figures"') :]
+    assert "<pre" not in page
+    for recording, channel, unit, *errors in words.fit_rows(result.as_dict()["fit"]):
+        cells = [f"<td>{recording}</td>", f'<td class="text">{channel}</td>', *(f"<td>{e}</td>" for e in errors)]
+        assert "".join([*cells, f'<td class="text">{unit}</td>']) in figures
+    creep = result.as_dict()["parameters"]["creep"]
+    value = amount(creep["value"], creep["ci95"], creep["unit"])
+    known = words.given(result.rig.plant.parameters["creep"], creep["value"])
+    row = figures[figures.index("<b>creep</b>") :].partition("</tr>")[0]
+    assert all(f"<td>{cell}</td>" in row for cell in (value.value, f"{value.low} to {value.high}", known))
+
+
+@pytest.mark.parametrize(
+    ("verdict", "change", "said"),
+    [
+        ("consistent", {"effects": []}, ["Nothing needs a correction"]),
+        (
+            "parameter_error",
+            {"effects": [], "parameters": {"creep": {"outside_tolerance": True}}},
+            ["Measure creep anew"],
+        ),
+        ("recording_fault", {}, ["Mend what the recording has (speed_slip)"]),
+        ("unexplained", {"effects": [], "where": [{"formula": "2 x"}]}, [" --accept."]),
+        ("unexplained", {"effects": [], "where": []}, ["Look at the pictures"]),
+        ("missing_physics", {"not_tried": ["drift"] * 3}, ["Simulate with", "3 hypotheses were not tried"]),
+        ("missing_physics", {"units": ["a: N, b: m"]}, ["Simulate with", "Correct the units: a: N, b: m."]),
+    ],
+)
+def test_what_to_do_next_goes_by_the_verdict(drum, verdict, change, said):
+    found = {**drum[0].as_dict(), "verdict": verdict, **change}
+    told = advice.steps(SimpleNamespace(found=found, result=drum[0]))
+    assert len(told) == len(said)
+    assert all(part in text for part, text in zip(said, told, strict=True))
+
+
+def test_what_a_confidence_is_worth_is_what_sealed_cases_say():
+    """`python -m benchmarks blind` writes them anew."""
+    results = Path(__file__).parent.parent / "benchmarks/results/blind.json"
+    bins = json.loads(results.read_text())["greygate"]["reliability"]
+    ends = [*(part[0] for part in advice.RELIABLE[1:]), 1.0]
+    for (low, claims, right), high in zip(advice.RELIABLE, ends, strict=True):
+        inside = [b for b in bins if low <= b["from"] < high]
+        assert (claims, right) == (sum(b["claims"] for b in inside), sum(b["right"] for b in inside))
+    assert advice.trust(0.79).startswith("19 of 36 claims")
+    assert advice.trust(0.99).startswith("133 of 134 claims")
+
+
+def test_inputs_of_several_units_are_drawn_in_parts_of_their_largest(drum):
+    result = drum[0]
+    signals = {"a": np.array([0.0, 2.0]), "b": np.array([-300.0, 100.0])}
+    channels = {"a": rig.Channel("V", "input"), "b": rig.Channel("N", "input")}
+    several = SimpleNamespace(result=SimpleNamespace(rig=replace(result.rig, channels=channels)))
+    traces, label = _inputs(several, SimpleNamespace(recording=signals))
+    assert label.startswith("inputs, of their largest")
+    assert [t.values.tolist() for t in traces.values()] == [[0.0, 1.0], [-1.0, pytest.approx(1 / 3)]]
+
+
+def test_a_simulation_that_runs_away_flattens_nothing():
+    target = np.array([1.0, 3.0, 2.0])
+    np.testing.assert_array_equal(_within(np.array([5.0, -1.0, 2.0]), target), [5.0, -1.0, 2.0])
+    np.testing.assert_array_equal(_within(np.array([5.1, -1.1, 2.0]), target), [np.nan, np.nan, 2.0])
 
 
 def test_every_hypothesis_that_was_fitted_stands_on_the_ladder_the_one_taken_first(drum):

@@ -15,5 +15,6 @@ def page(result: Diagnosis) -> str:
     """The page of a diagnosis."""
     case = Diagnosed(result)
     title, sections = f"greygate diagnosis: {case.title}", templates.render_sections(SECTIONS, case)
-    made = f"greygate {__version__}, {date.today()}, {case.found['seconds']:.1f} s"
+    command = f"greygate diagnose {result.rig.folder}"
+    made = f"greygate {__version__}, {command}, {date.today()}, {case.found['seconds']:.1f} s"
     return templates.render("diagnosis/page.html", title=title, sections=sections, plotly=templates.plotly(), made=made)

@@ -11,7 +11,7 @@ from greygate.mismatch.fit import Fit
 from greygate.mismatch.locate import signals
 from greygate.mismatch.model import Model
 from greygate.mismatch.runs import whole
-from greygate.mismatch.several import modelled
+from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.verdict import Verdict
 from greygate.pages.figures import APART
 
@@ -150,6 +150,21 @@ class Diagnosed:
         """The fits to draw: "calibrated", and "corrected" if it differs."""
         fits = {"calibrated": self.result.calibrated}
         return fits | ({"corrected": self.result.corrected} if self.changed else {})
+
+    @cached_property
+    def played(self) -> tuple[str, Model, dict[str, np.ndarray]]:
+        """(name, model, "data sheet" and each of `fits` -> predicted channels, by the rig's rule) of a recording.
+
+        It is holdout.csv where there is one.
+        """
+        result, rig = self.result, self.result.rig
+        held = rig.held_out()
+        model = modelled(rig, held or rig.to_explain(), result.corrected.likelihood.model.effects)
+        values = {"data sheet": {}, **{kind: fit.values for kind, fit in self.fits.items()}}
+        if held and "corrected" in values:
+            values["corrected"] = result.elsewhere
+        predicted = {kind: by_rule(model, there, rig.settle if held else 0)[0] for kind, there in values.items()}
+        return ("holdout" if held else "identify"), model, predicted
 
     @cached_property
     def residuals(self) -> dict[str, Residual]:

@@ -1,7 +1,7 @@
 """The sections of the page, each named as the template that it fills in; one whose context is None is left out."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 
 import numpy as np
@@ -10,14 +10,14 @@ from markupsafe import Markup
 from greygate.mismatch import words
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.locate import display_unit
-from greygate.mismatch.model import TINY
+from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.places import unit_of_place
 from greygate.mismatch.selection import APART
-from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.verdict import Verdict
 from greygate.mismatch.words import DIVERGES, amount, means, parameter
 from greygate.models.drawn import shortened
 from greygate.pages import figures
+from greygate.pages.diagnosis import advice
 from greygate.pages.diagnosis.residual import FEW, Diagnosed, Residual, binned, dependence, edges_of, near, part_of
 from greygate.pages.figures import Curve, Scale
 from greygate.pages.units import labelled, number
@@ -36,7 +36,47 @@ def head(case: Diagnosed) -> dict:
         "sentence": Verdict(case.found["verdict"]).words,
         "facts": facts(case),
         "rivals": sum(map(math.isfinite, case.result.rivals.values())) > 1,
+        "steps": advice.steps(case),
+        **signals(case),
     }
+
+
+def signals(case: Diagnosed) -> dict:
+    """The channel that the correction helps most: recorded, by the data sheet, and at best, its inputs below."""
+    name, model, predicted = case.played
+    channel, rig = _helped(case)[1], case.result.rig
+    target, i = model.recording[channel], rig.predict.index(channel)
+    factor, label = display_unit(rig.channels[channel].unit, float(np.abs(target).max()))
+    best = "corrected" if "corrected" in predicted else "calibrated"
+    traces = {"recorded": Trace(target * factor, "reference", 3.5)}
+    for kind, colour in (("data sheet", "extra"), (best, "float")):
+        traces[kind] = Trace(_within(near(predicted[kind][:, i], target), target) * factor, colour)
+    below, unit = _inputs(case, model)
+    return {
+        "channel": channel, "record": name, "best": best, "inputs": ", ".join(below), "samples": len(target),
+        "run": curves(traces | below, rig.dt, [labelled(channel, label), *([unit] if below else [])]), "drawn": DRAWN,
+    }  # fmt: skip
+
+
+def _within(predicted: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """A simulation as far as it stays within sight of what was recorded: what runs away would flatten all else."""
+    low, high = float(target.min()), float(target.max())
+    return np.where((predicted >= low - (high - low)) & (predicted <= high + (high - low)), predicted, np.nan)
+
+
+def _inputs(case: Diagnosed, model: Model) -> tuple[dict[str, Trace], str]:
+    """(the recorded inputs to be drawn below, the label of their axis): of several units in parts of their largest."""
+    given = {name: case.result.rig.channels[name].unit for name in case.result.rig.inputs}
+    one = len({*given.values()}) == 1
+    largest = {name: float(np.abs(model.recording[name]).max()) or 1.0 for name in given}
+    factor, label = display_unit(next(iter(given.values()), "1"), max(largest.values(), default=1.0))
+    traces = {
+        name: Trace(
+            model.recording[name] * (factor if one else 1.0 / largest[name]), COLOURS[k % len(COLOURS)], below=True
+        )
+        for k, name in enumerate(given)
+    }
+    return traces, labelled(", ".join(given) if one else "inputs, of their largest", label if one else "1")
 
 
 def facts(case: Diagnosed) -> list[tuple[str, str, bool | None]]:
@@ -51,7 +91,8 @@ def facts(case: Diagnosed) -> list[tuple[str, str, bool | None]]:
         if entry["id"] != "unknown" and entry["parameters"]:
             name, p = next(iter(entry["parameters"].items()))
             known = amount(p["value"], p["ci95"], p["unit"])
-            size = f", {name} {known}; confidence {entry['confidence']:.2g}"
+            sure = entry["confidence"]
+            size = f", {name} {known}; confidence {sure:.2g}: {advice.trust(sure)}"
         if entry["id"] == "unknown" and "formula" in found["where"][0]:
             lines.append(("a formula", found["where"][0]["formula"], None))
         else:
@@ -64,8 +105,8 @@ def facts(case: Diagnosed) -> list[tuple[str, str, bool | None]]:
     return [*lines, _error(case)]
 
 
-def _error(case: Diagnosed) -> tuple[str, str, bool | None]:
-    """The RMS error that the correction reduces most, before and after it."""
+def _helped(case: Diagnosed) -> tuple[str, str, Mapping]:
+    """(recording, channel, its RMS errors) where the correction reduces the error most."""
     fit = case.found["fit"]
     record = "holdout" if "holdout" in fit else "identify"
 
@@ -73,7 +114,12 @@ def _error(case: Diagnosed) -> tuple[str, str, bool | None]:
         was, now = item[1]["calibrated"], item[1]["corrected"]
         return math.inf if was is None or now is None else now / max(was, TINY)
 
-    channel, rms = min(fit[record].items(), key=reduced)
+    return (record, *min(fit[record].items(), key=reduced))
+
+
+def _error(case: Diagnosed) -> tuple[str, str, bool | None]:
+    """The RMS error that the correction reduces most, before and after it."""
+    record, channel, rms = _helped(case)
     if None in (rms["calibrated"], rms["corrected"]):
         return DIVERGES, f"the simulation of {channel} on {record}", False
     factor, unit = display_unit(rms["unit"], rms["calibrated"])
@@ -88,6 +134,7 @@ ZOOM = 2000  # samples drawn where the misfit is largest; two windows where a ri
 ZOOM_PART = 4  # but no more than such a part of a recording
 SHORTEST = 150  # samples that are drawn at least
 COLOUR = {"calibrated": "fixed", "corrected": "float"}
+COLOURS = "cost", "fixed", "ink", "soft"  # of inputs
 
 
 def runs(case: Diagnosed) -> dict:
@@ -100,19 +147,11 @@ def channels(case: Diagnosed) -> list[dict]:
 
     The recording is holdout.csv where there is one.
     """
-    result, rig = case.result, case.result.rig
-    held = rig.held_out()
-    name = "holdout" if held else "identify"
-    model = modelled(rig, held or rig.to_explain(), result.corrected.likelihood.model.effects)
-    skip = rig.settle if held else 0
-    values = {kind: fit.values for kind, fit in case.fits.items()}
-    if held and "corrected" in values:
-        values["corrected"] = result.elsewhere
-    predicted = {kind: by_rule(model, there, skip)[0] for kind, there in values.items()}
+    result, (name, model, predicted) = case.result, case.played
     rows = []
-    for i, channel in enumerate(rig.predict):
+    for i, channel in enumerate(result.rig.predict):
         target = model.target[:, i]
-        drawn = {kind: near(p[:, i], target) for kind, p in predicted.items()}
+        drawn = {kind: near(predicted[kind][:, i], target) for kind in case.fits}
         errors = {kind: p - target for kind, p in drawn.items()}
         rows.append(
             {
@@ -351,16 +390,31 @@ def numbers(case: Diagnosed) -> dict:
     result, found = case.result, case.found
     return {
         "effects": [(e, words.means(result, e), amounts(e["parameters"])) for e in found["effects"]],
-        "parameters": [words.parameter(result, n, p) for n, p in found["parameters"].items()],
-        "fit": words.fit_table(found["fit"]),
-        "alike": words.alike(result, found),
+        "parameters": [*fitted(result, found)],
+        "fit": words.fit_rows(found["fit"]),
+        "resampled": [(n, own["resampled"]) for n, own in found.get("recordings", {}).items() if "resampled" in own],
+        "alike": words.alike(result, found) if not found["effects"] else [],
         "unseen": words.hidden(result),
         "refused": found.get("refused", []),
-        "bounds": words.bounds(found),
+        "bounds": [
+            (entry["id"], name, amount(p["value"], None, p["unit"]))
+            for entry in found.get("not_larger_than", ())
+            for name, p in entry.get("parameters", {}).items()
+        ],
         "noises": words.noises(found),
         "remaining": found["remaining"] or words.nothing_left(result),
-        "seconds": found["seconds"],
     }
+
+
+def fitted(result: Diagnosis, found: Mapping) -> Iterator[tuple[str, words.Amount, str, bool]]:
+    """(name, value, what the data sheet says, whether it lies outside of that) of each parameter that was fitted."""
+    own = {name: there.get("parameters", {}) for name, there in found.get("recordings", {}).items()}
+    for run, parameters in {"": found["parameters"], **own}.items():
+        sheet = result.rig.of(run).plant.parameters
+        for symbol, p in parameters.items():
+            name = f"{symbol} in {run}" if run else symbol
+            known = words.given(sheet[symbol], p["value"])
+            yield name, amount(p["value"], p["ci95"], p["unit"]), known, p.get("outside_tolerance", False)
 
 
 def amounts(parameters: Mapping) -> list[tuple[str, words.Amount, str]]:
