@@ -16,7 +16,7 @@ from greygate.errors import InputError
 from greygate.mismatch import filters as of
 from greygate.mismatch.entries import SENSOR, TIME, Effect
 from greygate.mismatch.joining import join
-from greygate.mismatch.rig import Rig
+from greygate.mismatch.rig import LINEAR, Rig
 from greygate.mismatch.runs import pieces
 from greygate.mismatch.scales import memory, noise, span
 from greygate.plants.expressions import names, summands
@@ -139,7 +139,7 @@ class Model:
         """The same model with another signal (samples,) in the place of an input that nothing filters."""
         other = copy.copy(self)
         other._inputs = {**self._inputs, name: signal}
-        other._parted = {**self._parted, name: np.repeat(signal, self._parts)}
+        other._parted = {**self._parted, name: self._over_parts(name, signal)}
         other._made, other._last = {}, (None, np.empty((0, 0)))
         return other
 
@@ -160,7 +160,7 @@ class Model:
             raise InputError(f"{recording.source}: {few}, record at least so many")
         self._smooth = {source: reach(recording[source], SMOOTH) for source in sources}
         self._inputs = {name: self._input(name, recording.channels) for name in self.plant.inputs}
-        self._parted = {name: np.repeat(signal, self._parts) for name, signal in self._inputs.items()}
+        self._parted = {name: self._over_parts(name, signal) for name, signal in self._inputs.items()}
         self._parted |= {name: self._summed(np.repeat(recording[u], self._parts)) for name, u in self.integrals.items()}
         self._finer = {name: self._input(name, recording.channels, FINER) - self._inputs[name] for name in self.finer}
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
@@ -229,7 +229,7 @@ class Model:
         signals = dict(self._parted)
         early, dt = values.get(EARLY, 0.0), self.rig.dt / self._parts
         for name in self.plant.inputs:
-            if early and name in self.rig.inputs:
+            if early and name in self.rig.inputs and not self._linear(name):
                 signals[name] = self._moved(self._inputs[name], early)
             for kind, given in self._acting(name, values):
                 signals[name] = FILTERS[kind](signals[name], *given, dt)
@@ -244,6 +244,26 @@ class Model:
             if values[BLUR]:
                 signals[name] = signals[name] + values[BLUR] * np.repeat(more, self._parts)
         return signals
+
+    def _linear(self, name: str) -> bool:
+        """Whether an input goes straight from one sample to the next: a measurement, that no converter held."""
+        return name in self.rig.channels and self.rig.channels[name].hold == LINEAR
+
+    def _over_parts(self, name: str, signal: np.ndarray) -> np.ndarray:
+        """An input (samples,) in each part of a sample (samples * parts,)."""
+        if not self._linear(name):
+            return np.repeat(signal, self._parts)
+        way = (np.arange(self._parts) + 1 / 2) / self._parts
+        return (signal[:, None] + np.append(np.diff(signal), 0.0)[:, None] * way).ravel()
+
+    def _sampled(self, name: str, signal: np.ndarray) -> np.ndarray:
+        """An input (samples * parts,) where the samples are taken (samples,)."""
+        if not self._linear(name):
+            return self._means(signal)
+        if signal is self._parted[name] or self._parts == 1:
+            return self._inputs[name] if signal is self._parted[name] else signal
+        first, second = signal.reshape(-1, self._parts)[:, :2].T
+        return first - (second - first) / 2
 
     def _means(self, signal: np.ndarray) -> np.ndarray:
         """Of a plant's input over each sample (samples,)."""
@@ -354,7 +374,7 @@ class Model:
     def states(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> tuple[np.ndarray, dict]:
         """(states (samples, states), input signals). shifts: (restarts, locals) added to where the locals begin."""
         parted = self._signals(values)
-        signals = {name: self._means(signal) for name, signal in parted.items()}
+        signals = {name: self._sampled(name, signal) for name, signal in parted.items()}
         for name, source in self.integrals.items():  # at a sample it is what was summed before, not the mean after it
             given = {source: signals[source]} if source in signals else self.recording.channels
             signals[name] = self._input(name, given)

@@ -33,6 +33,7 @@ MOST = 100_000  # steps of integration in a sample; with more the simulation see
 IDENTIFY, HOLDOUT = "identify.csv", "holdout.csv"  # the recordings, where rig.toml lists no others
 IN = "@"  # between a parameter and the recording that has a value of its own: mass@run2
 UNKNOWN = "is no entry of [parameters]; give {} there"
+STEP, LINEAR = "step", "linear"  # how an input goes from one sample to the next
 UNIFORM_VARIANCE = 12  # an error spread evenly over a width has the variance width^2 / 12
 
 
@@ -41,12 +42,14 @@ class Channel:
     """A recorded signal: its `role` is input or output.
 
     resolution: the quantum of its converter; noise: the RMS of its white noise; both in `unit`, 0 where not stated.
+    hold: between two samples an input keeps its value (step), or goes straight to the next (linear).
     """
 
     unit: str
     role: str
     resolution: float = 0.0
     noise: float = 0.0
+    hold: str = STEP
 
     @property
     def sigma(self) -> float:
@@ -234,13 +237,14 @@ class Rig:
 
 
 CHANNEL = {"unit": line, "role": one_of(("input", "output"))}
-ERRORS = dict.fromkeys(("resolution", "noise_rms"), within(0.0, np.inf, "give 0 or more"))
+SENSED = dict.fromkeys(("resolution", "noise_rms"), within(0.0, np.inf, "give 0 or more"))
+SENSED["hold"] = one_of((STEP, LINEAR))
 NEEDED = {
     "plant": line,
     "sample_time_s": within(1e-9, LONGEST, "give seconds"),
     "predict": listed(line),
     "parameters": named(number, check_name),
-    "channels": named(lambda value, where: table(value, where, CHANNEL, ERRORS, others=True), check_name),
+    "channels": named(lambda value, where: table(value, where, CHANNEL, SENSED, others=True), check_name),
 }
 UNSURE = {
     "tolerance": named(within(0.0, 1.0, "give a relative uncertainty, 0 to 1, or a plus_minus"), check_name),
@@ -327,7 +331,8 @@ def _heard(rig: Rig) -> Rig:
 
 
 def _channel(entry: Mapping) -> Channel:
-    return Channel(entry["unit"], entry["role"], entry.get("resolution", 0.0), entry.get("noise_rms", 0.0))
+    sizes = (entry.get(key, 0.0) for key in ("resolution", "noise_rms"))
+    return Channel(entry["unit"], entry["role"], *sizes, entry.get("hold", STEP))
 
 
 Mistakes = Iterator[tuple[str, str]]
@@ -375,6 +380,8 @@ def _wrong_channels(found: Mapping, plant: Plant) -> Mistakes:
         if known is None:
             there = [n for n in plant.inputs if n not in plant.derived] if role == "input" else plant.outputs
             yield f"channels.{name}", f"{plant.name} has no {role} of that name; it has {', '.join(there)}"
+        if "hold" in entry and role != "input":
+            yield f"channels.{name}.hold", "is of an input; drop it here"
         if unit != known:
             yield f"channels.{name}", f"unit {shown(unit)}, {plant.name} has it in {known}; convert it"
     for name in plant.inputs:

@@ -28,6 +28,8 @@ LINES = 3  # in a spectrum that are offered, at most
 CHANCE = 1e-4  # of so strong a line in any place of a spectrum of noise
 BESIDE = 25  # lines of a spectrum on either side, whose median is what noise gives there
 NARROW = 3  # lines of a spectrum that one sine may take with a Hann window
+OWN = 0.05  # of a frequency, by which the data sheet's machine may swing faster or slower than the real one
+ALIKE = 0.1  # of the power of a line: one that the machine makes itself is as strong, or nearly
 SLOWEST = 10.0  # periods of a line in a recording, at least: a slower one is motion;
 MAINS, FAST = (50.0, 60.0), 4  # Hz: but these are looked for in one period, of so many samples or more
 TWICE = 6.0  # variance of white noise differenced twice, over its own
@@ -114,6 +116,23 @@ class Seen:
         sizes = [self.size(text) for text in table.terms.values()]
         return max(sizes, default=0.0)
 
+    def _swings(self, channel: str, line: float, strength: float, sure: float) -> bool:
+        """Whether the data sheet's machine, run free, has a line there, too, of such a strength or nearly.
+
+        sure: how far a line stands out.
+        """
+        if self.rig.window:
+            return False  # it begins again and again as recorded, line and all
+        with np.errstate(over="ignore", invalid="ignore"):
+            run = self.model.predict(self.model.values)[:, self.rig.predict.index(channel)]
+        if not np.isfinite(run).all():
+            return False
+        frequency, power = _spectrum(run, self.rig.dt)
+        step = NARROW * (frequency[1] - frequency[0])
+        near = np.abs(frequency - line) <= max(OWN * line, step)
+        lines = power * (_above(power) > sure)
+        return bool(lines[near].max(initial=0.0) > ALIKE * strength)
+
     # -- numbers in a table of effects ---------------------------------------------------------------------------------
 
     def number(self, text: str) -> float:
@@ -176,7 +195,8 @@ class Seen:
     def lines(self, channel: str) -> list[float]:
         """Frequencies in Hz at which narrow lines stand out of a channel's spectrum; first those of no input.
 
-        And those of the mains, where the recording is too short to make a narrow line of them.
+        And those of the mains, where the recording is too short to make a narrow line of them. None is the machine's
+        own swing.
         """
         if len(self.each) > 1:
             width = 1.0 / (self.rig.dt * min(run.samples for run in self.recording.runs))
@@ -196,6 +216,8 @@ class Seen:
             near = slice(max(i - NARROW, 0), i + NARROW + 1)
             if frequency[i] >= slowest and ratio[i] == ratio[near].max():
                 shared = any(_above(other)[near].max() > sure for other in given)
+                if not shared and self._swings(channel, frequency[i], power[i], sure):
+                    continue
                 found.append((shared, _refined(self.recording[channel], frequency[i], self.rig.dt)))
         spectral = [f for _, f in sorted(found, key=lambda line: line[0])][:LINES]
         once = 1.0 / (self.rig.dt * self.recording.samples)

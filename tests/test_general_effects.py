@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_plants import write
 
 from greygate.mismatch import effects as table
 from greygate.mismatch import filters, places
@@ -262,6 +263,31 @@ def test_a_line_is_found_where_it_is_and_nowhere_else(rigs, tmp_path):
     rig = made(tmp_path / "hum", "motor", after=lambda columns: columns | {"omega": columns["omega"] + hum})
     guess = next(f.guess for f in table.general(rig, recording(rig))["line_pickup"].free if f.guess)
     assert guess[0] == pytest.approx(49.93, abs=2e-3)
+
+
+@pytest.mark.parametrize("hum", [0.0, 2e-3])
+def test_a_machines_own_swing_is_no_line(tmp_path, hum):
+    """A pendulum that swings freely, its angle large enough for a third harmonic; perhaps with pickup at 7.3 Hz."""
+    plant = """step = 2e-3
+outputs = ["phi"]
+states = { phi = { unit = "rad", initial = 1.2, rate = "w" }, w = { unit = "rad/s" } }
+parameters = { rate = [25.0, "1/s^2"], drag = [0.02, "1/s"] }
+[equations]
+angle.phi = { speed = "w" }
+swing.w = { weight = "-rate * sin(phi)", drag = "-drag * w" }
+"""
+    phi, w, found = 1.2, 0.0, []
+    for _ in range(1500):
+        found.append(phi)
+        for _ in range(20):
+            w += 1e-3 * (-25.4 * np.sin(phi) - 0.02 * w)
+            phi += 1e-3 * w
+    rng, t = np.random.default_rng(1), 0.02 * np.arange(1500)
+    read = np.array(found) + 1e-3 * rng.standard_normal(1500) + hum * np.sin(2 * np.pi * 7.3 * t)
+    channels = {"phi": ("rad", "output", 1e-3, read)}
+    rig = load(write(tmp_path / "rig", plant, {"rate": 25.0, "drag": 0.02}, {"rate": 0.05}, channels, 0.02))
+    lines = [line for line in Seen(rig, rig.to_explain()).lines("phi") if line < 45.0]
+    assert lines == ([pytest.approx(7.3, abs=2e-2)] if hum else [])
 
 
 def test_dry_friction_is_named_where_only_speed_is_measured(tmp_path):
