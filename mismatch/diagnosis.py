@@ -36,6 +36,7 @@ DETAIL = 3e-3  # of a misfit: two explanations that differ by less may do so bec
 ELSE = 0.01  # weight of something that no table has, beside a name whose fit leaves nothing: machines are many
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
 DIGITS = 4  # after the point, of a confidence
+SAID = ("formula", "as_well", "curve")  # of a place, besides what is said of each
 
 
 @dataclass
@@ -119,7 +120,7 @@ class Diagnosis:
         fitted = (self.unknown.get("effect") or {}).get("parameters", {})
         for place in self.unknown.get("where", ()):
             acts(place["equation"], place["regime"], place["depends_on"], fitted)
-            places[place["equation"]] |= {key: place[key] for key in ("formula", "curve") if key in place}
+            places[place["equation"]] |= {key: place[key] for key in SAID if key in place}
         for symbol in self.best.released:
             for equation in self.search.places(symbol):
                 acts(equation, f"{symbol.replace(IN, ' in ')} is not what the data sheet says", (), (symbol,))

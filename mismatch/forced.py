@@ -10,19 +10,20 @@ from the recording says nothing of what was missing on the way.
 
 import copy
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greygate.errors import InputError
 from greygate.mismatch.entries import SENSOR, TIME
-from greygate.mismatch.fit import Fit, tame
+from greygate.mismatch.fit import Fit, Likelihood, tame
 from greygate.mismatch.model import TINY, Model, lagged
 from greygate.mismatch.places import places
 from greygate.mismatch.rig import FEWEST, Rig
 from greygate.mismatch.runs import Runs, along, with_channels
 from greygate.mismatch.scales import noise
 from greygate.mismatch.search import Hypothesis, Search
+from greygate.plants.expressions import names
 from greygate.plants.plant import Plant, Values
 from greygate.plants.recording import Recording
 
@@ -38,6 +39,15 @@ EXPECTED = 0.9  # of the cost that pure noise would have: what is above it is mi
 
 Place = tuple[str, ...]
 """One balance or definition; or two balances, in the second of which a term stands with the opposite sign."""
+SIGNS = (1, -1)
+
+
+@dataclass(frozen=True)
+class Acting:
+    """A term along the recording, signal (samples,), in a place."""
+
+    place: Place
+    signal: np.ndarray
 
 
 def sums(rig: Rig) -> list[str]:
@@ -102,15 +112,25 @@ class Forced:
     rig: the search's, with restarts where states are recorded. told: whether its file says so. base: that fit.
     signals: what moves along the recording, as recorded or as a rate of that, else as simulated, and how far bodies are
     apart (samples,). places: where a term may be missing -> the signals on which it may depend there. size: RMS of the
-    largest term of each place. given: effects that the plant has, fitted from `values` on.
+    largest term of each place. given: effects that the plant has, fitted from `values` on. acting: a term that acts in
+    `run`, the fit at which all is linearised; `base` has the errors of that run without the term. free: the run begins
+    anew only where the rig's file says so.
     """
 
-    def __init__(self, search: Search, given: Hypothesis = NOTHING, values: Mapping[str, float] | None = None):
+    def __init__(
+        self,
+        search: Search,
+        given: Hypothesis = NOTHING,
+        values: Mapping[str, float] | None = None,
+        acting: Acting | None = None,
+        free: bool = False,
+    ):
         everywhere, most = sums(search.rig), LONGEST // len(search.rig.predict)
         recording = first(search.final.model.recording, most)
         anew = not search.rig.window and any(state in search.rig.channels for state in search.rig.plant.states)
-        self.rig = _restarted(search.rig, recording) if anew else search.rig
+        self.rig = _restarted(search.rig, recording, free) if anew else search.rig
         self.told = bool(search.rig.window)
+        self.anew, self.free = anew and not free, anew and free
         rig = replace(self.rig, plant=_opened(self.rig.plant, everywhere))
         zeros = {FORCED + place: np.zeros(recording.samples) for place in everywhere}
         units = {**recording.units, **dict.fromkeys(zeros, "")}
@@ -119,20 +139,39 @@ class Forced:
         if search.rig.stated and not anew:
             self.search.under(search.noise)
         self.search.between = search.between
-        final = self.search.final
-        self.base: Fit = self.search.fit(final, given, values or {}) if given.size else self.search.base(final)
-        moving, scope = _signals(self.search, {**(values or {}), **self.base.values})
+        self._driven = dict(zeros)
+        final, start = self._final(acting), values if acting else None
+        base = self.search.fit(final, given, values or {}) if given.size else self.search.base(final, start)
+        self.run: Fit = base
+        moving, scope = _signals(base, {**(values or {}), **base.values})
         self._values = Values(rig.plant, scope)
-        self._values.update({s: v for s, v in self.base.values.items() if s in rig.plant.parameters})
+        self._values.update({s: v for s, v in base.values.items() if s in rig.plant.parameters})
         apart = between(self.rig)
         self.signals = moving | {text: self.of(text) for texts in apart.values() for text in texts}
         self.places: dict[Place, list[str]] = {(place,): [*moving] for place in everywhere} | apart
         self.size = {place: self._largest(place[0]) for place in self.places}
         self._columns: dict[tuple[Place, str], np.ndarray] = {}
+        self.base = _less(base, self._moved(acting.place, acting.signal)) if acting else base
+
+    def _final(self, acting: Acting | None) -> Likelihood:
+        """The likelihood in which a term acts."""
+        likelihood = self.search.final
+        if acting is None:
+            return likelihood
+        likelihood = copy.copy(likelihood)
+        for name, sign in zip(acting.place, SIGNS, strict=False):
+            self._driven[FORCED + name] = sign * self._held(acting.signal, likelihood.model)
+            likelihood.model = likelihood.model.driven(FORCED + name, self._driven[FORCED + name])
+        return likelihood
 
     @property
     def model(self) -> Model:
-        return self.base.likelihood.model
+        return self.run.likelihood.model
+
+    @property
+    def lost(self) -> bool:
+        """Whether a run that is not begun anew leaves the recording."""
+        return self.search.lost(self.run)
 
     @property
     def expected(self) -> float:
@@ -161,14 +200,33 @@ class Forced:
 
         Less what the beginnings of the windows make up for.
         """
-        held = along(lambda s: np.append((s[1:] + s[:-1]) / 2, s[-1]), self.model.pieces, signal)
-        base, likelihood = self.base, copy.copy(self.base.likelihood)
-        likelihood.model = self.model
-        for name, sign in zip(place, (1, -1), strict=False):
-            likelihood.model = likelihood.model.driven(FORCED + name, sign * SMALL * held)
-        moved = likelihood.errors(base.values, base.shifts)
-        rows = likelihood.rows(tame(moved - base.errors) / SMALL, base.temper)
-        return likelihood.eliminate(rows[:, :, None], None, base.basis)[0][:, :, 0]
+        rows = self.run.likelihood.rows(self._moved(place, signal), self.run.temper)
+        return self.run.likelihood.eliminate(rows[:, :, None], None, self.run.basis)[0][:, :, 0]
+
+    def _moved(self, place: Place, signal: np.ndarray) -> np.ndarray:
+        """By how much a signal (samples,) in a place moves the errors (samples, channels)."""
+        run, likelihood = self.run, copy.copy(self.run.likelihood)
+        for name, sign in zip(place, SIGNS, strict=False):
+            acting = self._driven[FORCED + name] + sign * SMALL * self._held(signal, self.model)
+            likelihood.model = likelihood.model.driven(FORCED + name, acting)
+        return tame(likelihood.errors(run.values, run.shifts) - run.errors) / SMALL
+
+    @staticmethod
+    def _held(signal: np.ndarray, model: Model) -> np.ndarray:
+        """A signal (samples,) in the middle between its samples."""
+        return along(lambda s: np.append((s[1:] + s[:-1]) / 2, s[-1]), model.pieces, signal)
+
+    def strange(self, place: Place, depends_on: Iterable[str]) -> int:
+        """How strange signals are to a place: 0 for what is stored or moves there, 1 for what acts there, 2 for others.
+
+        The sum over all of them.
+        """
+        plant = self.search.rig.plant
+        found = [plant.equations.get(name) or plant.definitions[name] for name in place]
+        states = {getattr(each, "state", "") for each in found}
+        own = states | {symbol for symbol, state in plant.states.items() if state.rate in states}
+        acts = _used(plant, [text for each in found for text in each.terms.values()])
+        return sum(0 if symbol in own else 1 if symbol in acts else 2 for symbol in depends_on)
 
     def _largest(self, place: str) -> float:
         plant = self.search.rig.plant
@@ -177,27 +235,65 @@ class Forced:
         return max(sizes, default=0.0) or 1.0
 
 
-def _signals(search: Search, values: Mapping[str, float]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def _signals(base: Fit, values: Mapping[str, float]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """(inputs and states that move, with t; all of them): as recorded, a rate of that, or as simulated (samples,)."""
-    model, plant = search.final.model, search.rig.plant
-    states, inputs = model.states({**model.values, **values})
+    likelihood, model = base.likelihood, base.likelihood.model
+    plant = model.rig.plant
+    states, inputs = model.states({**model.values, **values}, base.shifts * likelihood.local_scale)
+    simulated = dict(zip(model.plant.states, states.T, strict=True))
     rates = {state.rate: symbol for symbol, state in plant.states.items() if state.rate}
     found = {TIME: model.recording.time, **inputs}
-    for symbol, simulated in zip(model.plant.states, states.T, strict=True):
+    for symbol, run in simulated.items():
+        place = rates.get(symbol)
         if symbol in model.recording.channels:
             found[symbol] = model.recording[symbol]
-        elif rates.get(symbol) in model.recording.channels:
-            found[symbol] = model.smooth_rate(rates[symbol])
+        elif place in model.recording.channels:
+            found[symbol] = _rate(model, place, model.smooth_rate(place), simulated[place], run)
         else:
-            found[symbol] = simulated
-    moving = {s: x for s, x in found.items() if s in {TIME, *plant.symbols} and np.isfinite(x).all() and np.ptp(x) > 0}
+            found[symbol] = run
+    own = {TIME, *(s for s in plant.symbols if not s.startswith(FORCED))}
+    moving = {s: x for s, x in found.items() if s in own and np.isfinite(x).all() and np.ptp(x) > 0}
     return moving, found
 
 
-def _restarted(rig: Rig, recording: Recording) -> Rig:
-    """The rig with restarts, and the noise that its channels show where none is told."""
+def _rate(model: Model, place: str, smooth: np.ndarray, simulated: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """The rate of a recorded channel, smoothed or as `run`: the one whose integral follows the recording (samples,).
+
+    simulated: the channel itself in that run. The integral begins anew with every window.
+    """
+    recorded, cut = model.recording[place], model.restarts[1:]
+    summed = np.cumsum(smooth) * model.rig.dt
+    off = [_scatter(path - recorded, cut) for path in (summed, simulated)]
+    return run if off[1] < off[0] else smooth
+
+
+def _scatter(errors: np.ndarray, cut: np.ndarray) -> float:
+    """Squares of errors, less the mean of each window; infinite where they are no numbers."""
+    parts = np.split(errors, cut)
+    return float(np.nan_to_num(sum(np.sum((part - part.mean()) ** 2) for part in parts), nan=np.inf))
+
+
+def _used(plant: Plant, texts: Iterable[str]) -> set[str]:
+    """The symbols in expressions, and in the definitions of those."""
+    found: set[str] = set()
+    new = names(texts)
+    while new - found:
+        found |= new
+        new = names(t for d in plant.definitions.values() if d.symbol in new for t in d.terms.values())
+    return found
+
+
+def _less(fit: Fit, moved: np.ndarray) -> Fit:
+    """A fit without what moved its errors (samples, channels); it is linearised with that, where it was made."""
+    less = replace(fit, errors=fit.errors - moved)
+    vars(less).update(basis=fit.basis, slopes=fit.slopes)
+    return less
+
+
+def _restarted(rig: Rig, recording: Recording, free: bool) -> Rig:
+    """The rig with restarts, unless it runs `free`, and the noise that its channels show where none is told."""
     channels = {n: c if c.sigma else replace(c, noise=noise(recording[n])) for n, c in rig.channels.items()}
-    return replace(rig, channels=channels, window=max(recording.samples // WINDOWS, FEWEST))
+    return replace(rig, channels=channels, window=None if free else max(recording.samples // WINDOWS, FEWEST))
 
 
 def _opened(plant: Plant, where: Iterable[str]) -> Plant:

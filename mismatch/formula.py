@@ -65,11 +65,15 @@ class Shape:
 
 @dataclass(frozen=True)
 class Formula:
-    """A term of a place: a sum of shapes. share: of the misfit, that it takes on stretches it was not fitted to."""
+    """A term of a place: a sum of shapes. share: of the misfit, that it takes on stretches it was not fitted to.
+
+    as_well: the places and signals of which a term is not told apart from it.
+    """
 
     place: Place
     shapes: tuple[Shape, ...]
     share: float
+    as_well: tuple[tuple[Place, tuple[str, ...]], ...] = ()
 
     @property
     def texts(self) -> list[str]:
@@ -86,6 +90,15 @@ class Formula:
     @property
     def weight(self) -> int:
         return sum(shape.weight for shape in self.shapes)
+
+
+@dataclass(frozen=True)
+class Where:
+    """A place, signals there, and the cost that their smooth functions save."""
+
+    place: Place
+    variables: tuple[str, ...]
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -110,6 +123,9 @@ class Judge:
         self._halves = Halves.of(base, np.concatenate(made, axis=2))
         self._at = {key: i for i, key in enumerate(columns)}
         self.plain = self._halves.saved([])
+
+    def knows(self, keys: Iterable[str]) -> bool:
+        return {*keys} <= {*self._at}
 
     def gain(self, keys: Iterable[str]) -> float:
         """The cost that these columns save beyond what the parameters alone do."""
@@ -138,24 +154,30 @@ class Finder:
         place, variables, gain = self.where
         if place[0].startswith(SENSOR):
             return Formula(place, (), gain / self.misfit)
-        formula = self._written(place, self._pool(variables))
+        formula = self.written(place, self.pool(variables))
         return formula if formula is not None and formula.share > WORTH else None
 
-    @cached_property
+    @property
     def where(self) -> tuple[Place, tuple[str, ...], float]:
         """The place, the signals, at most two, whose smooth functions save most there, and the cost that they save.
 
         The place may be a sensor at fault.
         """
+        best = self.ranked[0]
+        return best.place, best.variables, best.gain
+
+    @cached_property
+    def ranked(self) -> list["Where"]:
+        """Places and the signals there, by what their smooth functions save beyond their price: the best first."""
         groups = {
             v: [*self._smooth(v), *(t for wave in self._waves(v) for t in wave.texts)] for v in self.forced.signals
         }
-        found: list[tuple[float, Place, tuple[str, ...]]] = []
+        found: list[Where] = []
         for place, variables in self.forced.places.items():
             judge = self.judge(place, [ONE, *(t for v in variables for t in groups[v])])
             alone = {v: judge.gain([ONE, *groups[v]]) for v in variables}
-            found.append((judge.gain([ONE]), place, ()))
-            found += [(gain - WORTH * self.misfit, place, (v,)) for v, gain in alone.items()]
+            found.append(Where(place, (), judge.gain([ONE])))
+            found += [Where(place, (v,), gain) for v, gain in alone.items()]
             best = sorted(alone, key=lambda v: -alone[v])[:BEST]
             both = {pair: self._products(*pair) for pair in combinations(best, 2)}
             judge = self.judge(
@@ -163,22 +185,22 @@ class Finder:
             )
             for (v, r), products in both.items():
                 gain = judge.gain([ONE, *groups[v], *groups[r], *products])
-                found.append((gain - 2 * WORTH * self.misfit, place, (v, r)))
+                found.append(Where(place, (v, r), gain))
         found += self._sensors()
-        gain, place, chosen = max(found)
-        return place, chosen, gain + len(chosen) * WORTH * self.misfit
+        worth = WORTH * self.misfit
+        return sorted(found, key=lambda there: (len(there.variables) * worth - there.gain, there.place))
 
-    def _sensors(self) -> list[tuple[float, Place, tuple[str, ...]]]:
-        """What faults of each sensor save, beyond the price of two terms."""
+    def _sensors(self) -> list["Where"]:
+        """What faults of each sensor save, less the price of a further term."""
         base = self.forced.base
-        found: list[tuple[float, Place, tuple[str, ...]]] = []
+        found: list[Where] = []
         columns: dict[str, dict[str, np.ndarray]] = {}
         for (place, name), column in sensors(base).items() if self.forced.told else ():
             rows = base.likelihood.rows(column[:, :, None], base.temper)
             columns.setdefault(place, {})[name] = base.likelihood.eliminate(rows, None, base.basis)[0][:, :, 0]
         for place, of in columns.items():
-            gain = Judge(base, of).gain(of)
-            found.append((gain - 2 * WORTH * self.misfit, (place,), (place.removeprefix(SENSOR),)))
+            gain = Judge(base, of).gain(of) - WORTH * self.misfit
+            found.append(Where((place,), (place.removeprefix(SENSOR),), gain))
         return found
 
     @staticmethod
@@ -211,22 +233,37 @@ class Finder:
         forms, step = (f"sin(KNEE * {v})", f"cos(KNEE * {v})"), np.pi / (high - low)
         return [Shape(forms, "periodic", LONGEST, f, step) for f in peaks]
 
-    def _pool(self, variables: Sequence[str]) -> list[Shape]:
+    def pool(self, variables: Sequence[str]) -> list[Shape]:
         """The functions of which a formula in these signals is made."""
         pool = [Shape((ONE,), "constant", 1)]
         for v in variables:
             pool += self._shapes(v)
-        for one, other in zip(variables, reversed(variables), strict=True) if len(variables) == 2 else ():
-            sign = f"tanh({SHARP / max(map(abs, self._ends(one))):.4g} * {one})"
-            pool.append(Shape((f"abs({one}) * {other}",), "product", LONG))
-            pool.append(Shape((f"{one}**2 * {other}",), "product", LONG))
-            pool.append(Shape((f"{sign} * {other}",), "product", LONGEST))
-        return pool + ([Shape((" * ".join(variables),), "product", 2)] if len(variables) == 2 else [])
+        return pool + (self._pairs(*variables) if len(variables) == 2 else [])
+
+    def _pairs(self, v: str, r: str) -> list[Shape]:
+        """The functions of two signals."""
+        found = [Shape((f"{v} * {r}",), "product", 2)]
+        for one, other in ((v, r), (r, v)):
+            found.append(Shape((f"{one}**2 * {other}",), "product", LONG))
+            if self._ends(other)[0] >= 0:
+                root = f"sqrt(abs({bare(other)}))"
+                found.append(Shape((f"{one} * {root}",), "product", LONG))
+                found.append(Shape((f"{one}**2 * {root}",), "product", LONGEST))
+            if self._turns(one):
+                sign = f"tanh({SHARP / max(map(abs, self._ends(one))):.4g} * {one})"
+                found.append(Shape((f"abs({one}) * {other}",), "product", LONG))
+                found.append(Shape((f"{sign} * {other}",), "product", LONGEST))
+        return found
+
+    def _turns(self, v: str) -> bool:
+        """Whether a signal changes its sign."""
+        low, high = self._ends(v)
+        return low < 0 < high
 
     def _shapes(self, v: str) -> list[Shape]:
         """The functions of one signal."""
         low, high = self._ends(v)
-        most, inside = max(-low, high), _bare(v)
+        most, inside = max(-low, high), bare(v)
         found = [Shape((v,), "linear", 1), Shape((f"{v}**2",), "even", 2), Shape((f"{v}**3",), "odd", LONG)]
         if low < 0 < high:
             found += [Shape((f"abs({inside})",), "even", 2), Shape((f"{v} * abs({inside})",), "odd", 2)]
@@ -242,23 +279,40 @@ class Finder:
         found += [Shape((form,), "threshold", LONG, level, step) for form in sided for level in levels]
         return found + self._waves(v)
 
-    def _written(self, place: Place, pool: list[Shape]) -> Formula | None:
+    def written(self, place: Place, pool: list[Shape]) -> Formula | None:
         """The formula of the fewest terms from `pool` to which a further one adds little."""
-        best: Formula | None = None
+        best, judge = None, self.judge(place, (t for shape in pool for t in shape.texts))
         for size in range(1, TERMS + 1):
-            trials = [[*best.shapes, s] for s in pool if s not in best.shapes] if best else [[s] for s in pool]
-            trials += [list(pair) for pair in combinations(pool, 2)] if size == 2 else []
+            trials = self.trials(best, pool, size)
             if not trials:
                 break
-            judge = self.judge(place, (t for shapes in trials for s in shapes for t in s.texts))
+            if best and not judge.knows(best.texts):
+                judge = self.judge(place, (t for shape in (*pool, *best.shapes) for t in shape.texts))
             tried = [Formula(place, tuple(t), judge.gain(x for s in t for x in s.texts) / self.misfit) for t in trials]
-            tried += [self._refined(formula) for formula in self._hopeful(tried)]
+            tried += [self.refined(formula) for formula in self._hopeful(tried)]
             most = max(formula.share for formula in tried)
-            if best and most < best.share + WORTH:
+            if best and not self.worth(most, best.share):
                 break
-            near = [formula for formula in tried if formula.share >= most - ALIKE]
-            best = min(near, key=lambda f: (f.weight, -f.share))
+            near = [formula for formula in tried if self.alike(formula.share, most)]
+            best = self.polished(min(near, key=lambda f: (f.weight, -f.share)))
         return best
+
+    def trials(self, best: Formula | None, pool: Sequence[Shape], size: int) -> list[list[Shape]]:
+        """The sums of so many shapes that are tried: those that add one to the `best` of before, and any two."""
+        found = [[*best.shapes, s] for s in pool if s not in best.shapes] if best else [[s] for s in pool]
+        return found + ([list(pair) for pair in combinations(pool, 2)] if size == 2 else [])
+
+    def worth(self, share: float, before: float) -> bool:
+        """Whether a formula with a further term, which takes `share`, is worth that term."""
+        return share >= before + WORTH
+
+    def polished(self, formula: Formula) -> Formula:
+        """The formula with its knees as they stay."""
+        return formula
+
+    def alike(self, share: float, most: float) -> bool:
+        """Whether a formula that takes this share is as good as the best."""
+        return share >= most - ALIKE
 
     @staticmethod
     def _hopeful(tried: list[Formula]) -> list[Formula]:
@@ -268,15 +322,11 @@ class Finder:
             best.setdefault(tuple(shape.forms for shape in formula.shapes), formula)
         return list(best.values())[:REFINED]
 
-    def _refined(self, formula: Formula) -> Formula:
-        """The formula with each knee where most is saved."""
+    def refined(self, formula: Formula, steps: Sequence[int] = range(1, STEPS + 1)) -> Formula:
+        """The formula with each knee where most is saved. steps: how often the step is halved in each."""
         for i, shape in enumerate(formula.shapes):
-            if shape.knee is None:
-                continue
-            step = shape.step
-            for _ in range(STEPS):
-                step /= 2
-                knee = formula.shapes[i].knee or 0.0
+            for halvings in steps if shape.knee is not None else ():
+                knee, step = formula.shapes[i].knee or 0.0, shape.step / 2**halvings
                 moved = [self._bent(formula, i, to) for to in (knee - step, knee + step)]
                 formula = max([formula, *moved], key=lambda f: f.share)
         return formula
@@ -298,7 +348,7 @@ class Finder:
         The plant's parameters are as the formula has them: what they could take as well is not in the band.
         """
         used = {*formula.depends_on}
-        signals = [v for v in self.forced.places[formula.place] if names([v]) == used and _bare(v) in formula.texts[-1]]
+        signals = [v for v in self.forced.places[formula.place] if names([v]) == used and bare(v) in formula.texts[-1]]
         if len(signals) != 1:
             return None
         (v,), forced, base = signals, self.forced, self.forced.base
@@ -336,6 +386,6 @@ class Finder:
         return np.linalg.solve(normal / np.outer(scale, scale) + RIDGE * np.eye(len(right)), right / scale) / scale
 
 
-def _bare(signal: str) -> str:
+def bare(signal: str) -> str:
     """A signal as it stands alone in the brackets of a function."""
     return signal.removeprefix("(").removesuffix(")")

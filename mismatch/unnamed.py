@@ -10,9 +10,11 @@ from greygate.mismatch.forced import Forced, Place
 from greygate.mismatch.formula import ONE, Finder, Formula
 from greygate.mismatch.general import unit_of_coefficient
 from greygate.mismatch.model import TINY
+from greygate.mismatch.nearer import settled
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.expressions import names
 
+CONSTANT = "constant size"
 DIGITS = 4  # behind the point, of a share
 
 
@@ -21,8 +23,7 @@ def unnamed(search: Search, values: Mapping[str, float] | None = None) -> tuple[
 
     values: from which the plant is calibrated.
     """
-    finder = Finder(Forced(search, values=values))
-    formula = finder.found()
+    finder, formula = settled(search, values)
     if formula is None:
         return {"where": [], "effect": None}, None
     if not formula.shapes:
@@ -35,12 +36,14 @@ def unnamed(search: Search, values: Mapping[str, float] | None = None) -> tuple[
     plain, fit = _fitted(search, finder, formula, [*effects])
     share = _removed(plain, fit)
     parameters = {symbol: _parameter(fit, formula.place, symbol, text) for symbol, text in effects.items()}
-    on = ", ".join(formula.depends_on) or "constant size"
+    on = ", ".join(formula.depends_on) or CONSTANT
     where: dict = {
         "depends_on": formula.depends_on,
         "regime": f"a term of {on}, which takes {share:.0%} of the misfit",
         "formula": _sum(formula.texts, parameters.values()),
     }
+    if formula.as_well:
+        where["as_well"] = [_named(formula.place, *other) for other in formula.as_well]
     if curve := finder.curve(formula):
         columns = {"at": curve.at, "value": curve.value, "low": curve.low, "high": curve.high}
         where["curve"] = {"of": curve.signal, **{name: column.tolist() for name, column in columns.items()}}
@@ -68,7 +71,8 @@ def _fitted(search: Search, finder: Finder, formula: Formula, symbols: Sequence[
     """The fits without and with a formula, over the rig's windows or its free run, which is begun near."""
     forced, rig = finder.forced, search.rig
     effects = {
-        s: _effect(rig.plant.name, formula.place, s, text) for s, text in zip(symbols, formula.texts, strict=True)
+        s: _effect(rig.plant.name, formula.place, s, text, forced.unit(formula.place, text))
+        for s, text in zip(symbols, formula.texts, strict=True)
     }
     start = dict(zip(symbols, map(float, finder.coefficients(formula)), strict=True))
     values: Mapping[str, float] = {**forced.base.values, **start}
@@ -82,11 +86,16 @@ def _fitted(search: Search, finder: Finder, formula: Formula, symbols: Sequence[
     return again.base(again.final), fit
 
 
-def _effect(plant: str, place: Place, symbol: str, text: str) -> Effect:
-    """A function of a formula as an effect of its own: its coefficient is free."""
+def _named(place: Place, other: Place, depends_on: Sequence[str]) -> str:
+    """Signals of which a term does as well as one in `place`, with their own place where that is another."""
+    return (", ".join(depends_on) or CONSTANT) + (f" in {' and '.join(other)}" if other != place else "")
+
+
+def _effect(plant: str, place: Place, symbol: str, text: str, size: float) -> Effect:
+    """A function of a formula as an effect of its own: its coefficient is free. size: of that, where it is large."""
     signs = zip(place, ("", "-"), strict=False)
     terms = {f"{name}.{symbol}": f"{sign}{symbol} * ({text})" for name, sign in signs}
-    free = (Free(symbol, 1.0, reported=symbol),)
+    free = (Free(symbol, size, reported=symbol),)
     return Effect(symbol, "a term without a name", (plant,), place, (), free, terms, of="unknown")
 
 

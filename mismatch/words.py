@@ -163,11 +163,16 @@ def where(found: Mapping) -> list[tuple[str, str]]:
     for place in found["where"]:
         regime = place["regime"].rpartition("; ")[2]  # where, after what acts there
         acts = ", ".join((regime, place["time"], place["band"])) if "time" in place else ""
-        places.setdefault((tuple(place["depends_on"]), acts), []).append(place["equation"])
+        key = tuple(place["depends_on"]), tuple(place.get("as_well", ())), acts
+        places.setdefault(key, []).append(place["equation"])
     return [
-        (" and ".join(equations) + (f", depends on {', '.join(on)}" if on else ""), acts)
-        for (on, acts), equations in places.items()
+        (" and ".join(equations) + (f", depends on {', '.join(on)}" if on else "") + _as_well(others), acts)
+        for (on, others, acts), equations in places.items()
     ]
+
+
+def _as_well(others: Sequence[str]) -> str:
+    return f" ({'; '.join(others)}: does as well)" if others else ""
 
 
 def parameter(result: Diagnosis, name: str, found: Mapping, rig: Rig | None = None) -> str:

@@ -10,16 +10,18 @@ import pytest
 from greygate.cli.terminal import ended_early
 from greygate.errors import InputError
 from greygate.mismatch import rig as rigs
+from greygate.mismatch.concealed.conceal import EVERY_RIG, conceal
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import read
-from greygate.mismatch.forced import Forced, _opened, first
-from greygate.mismatch.formula import Finder
+from greygate.mismatch.forced import Acting, Forced, _opened, first
+from greygate.mismatch.formula import Finder, Formula, Shape
 from greygate.mismatch.model import Model
+from greygate.mismatch.nearer import Near, settled
 from greygate.mismatch.runs import Runs
 from greygate.mismatch.search import Search
 from greygate.mismatch.several import by_rule
 from greygate.mismatch.unnamed import _removed
-from greygate.mismatch.words import lines
+from greygate.mismatch.words import lines, where
 from greygate.pages.diagnosis import page
 from greygate.plants.plant import Plant
 from greygate.plants.simulator import simulate
@@ -160,6 +162,111 @@ def test_terms_of_other_kinds_come_back_on_their_variables(hidden, place, term, 
     assert sorted(formula.depends_on) == depends_on
     assert kind in formula.kinds
     assert formula.share > 0.8
+
+
+@pytest.fixture
+def concealed(tmp_path):
+    """What makes a rig of the generator with a hidden effect: (plant, effect, seed) -> the rig."""
+
+    def make(plant: str, effect: str, seed: int):
+        kind = "one" if effect in EVERY_RIG[plant].effects else "foreign"
+        return rigs.load(conceal(plant, seed, tmp_path / effect, effect=effect, kind=kind))
+
+    return make
+
+
+def search(rig) -> Search:
+    return Search(rig, rig.to_explain(), {})
+
+
+def test_a_signal_is_told_from_one_that_moves_like_it(concealed):
+    """The voltages of a low pass: what a diode takes is of the one behind the resistor, though the other seems best."""
+    rig = concealed("electrical", "diode", 32)
+    assert finder(rig).found().depends_on == ["v_1"]
+    _, formula = settled(search(rig), None)
+    assert (formula.place, formula.depends_on, formula.kinds) == (("second",), ["v_2"], ["threshold"])
+    assert formula.shapes[0].knee == pytest.approx(0.752, abs=0.01)
+    assert formula.as_well == ()
+
+
+def test_of_two_signals_that_nothing_tells_apart_the_stored_one_is_named_and_the_other_said(concealed):
+    """A leak from v_1 is one from v_2 with another capacitor."""
+    (place,) = diagnose(concealed("electrical", "leak", 32), {}).as_dict()["where"]
+    assert (place["equation"], place["depends_on"], place["as_well"]) == ("second", ["v_2"], ["v_1"])
+    ((said, _),) = where({"where": [place]})
+    assert said == "second, depends on v_2 (v_1: does as well)"
+
+
+def test_a_place_that_nothing_tells_apart_is_said_beside_the_one_whose_state_it_is(hidden):
+    _, formula = settled(search(hidden("rotor", "-2e-5 * w * abs(w)")), None)
+    assert (formula.place, formula.as_well) == (("rotor",), ())
+    forced = Forced(search(hidden("rotor", "-0.5")))
+    assert [forced.strange(("rotor",), [v]) for v in ("w", "i", "t")] == [0, 1, 2]
+    assert forced.strange(("electric",), ["w", "i"]) == 1
+
+
+@pytest.mark.parametrize("seed", [31, 32])
+def test_what_grows_with_time_is_a_product_with_the_signal_that_it_acts_on(concealed, seed):
+    _, formula = settled(search(concealed("tank", "clogging", seed)), None)
+    assert (formula.place, formula.texts[0], formula.depends_on) == (("lower",), "t * sqrt(abs(h_2))", ["h_2", "t"])
+
+
+def test_what_is_too_slow_for_short_windows_is_found_in_one_free_run(concealed):
+    rig = concealed("tank", "leak", 31)
+    assert finder(rig).found() is None
+    look, formula = settled(search(rig), None)
+    assert (look.forced.rig.window, formula.place, formula.texts) == (None, ("upper",), ["h_1"])
+    assert look.coefficients(formula)[0] == pytest.approx(-3.355e-6, rel=0.05)
+
+
+def test_a_speed_is_of_the_run_where_smoothing_the_recording_would_take_its_motion(concealed):
+    rig = concealed("quarter_car", "dry_friction", 32)
+    forced = Forced(search(rig))
+    smooth = forced.model.smooth_rate("z_body") - forced.model.smooth_rate("z_wheel")
+    speed = forced.signals["(v_body - v_wheel)"]
+    assert np.std(speed - smooth) > 0.3 * np.std(speed)
+    found = diagnose(rig, {}).as_dict()
+    assert [(place["equation"], place["depends_on"]) for place in found["where"]] == [
+        ("body", ["v_body", "v_wheel"]),
+        ("wheel", ["v_body", "v_wheel"]),
+    ]
+    (entry,) = found["effects"]
+    (size,) = (p["value"] for p in entry["parameters"].values())
+    assert size == pytest.approx(-33.2, rel=0.05)
+
+
+def test_a_speed_is_smoothed_where_the_run_leaves_the_recording(tmp_path):
+    """A cart with a spring that its plant has not."""
+    (tmp_path / "cart.toml").write_text(CART)
+    (tmp_path / "rig.toml").write_text(CART_RIG)
+    real = Plant.read(tmp_path / "cart.toml").with_term("motion", "hidden", "-800 * x")
+    force = np.repeat(np.random.default_rng(0).uniform(-50, 50, 20), 50)
+    x = simulate(real, {"u": force}, sample_time=0.01, step=1e-3)["x"]
+    columns = np.column_stack([np.arange(1000) * 0.01, force, x])
+    np.savetxt(tmp_path / "identify.csv", columns, delimiter=",", header="t,u,x", comments="")
+    forced = Forced(search(rigs.load(tmp_path)))
+    assert np.array_equal(forced.signals["v"], forced.model.smooth_rate("x"))
+
+
+def test_a_small_coefficient_is_fitted_in_steps_of_its_own_size(concealed):
+    """A damping of 5e-7 N m s^2: a run with 1e-3 of one N m s^2 diverges."""
+    found = diagnose(concealed("motor", "square_damping", 32), {}).as_dict()
+    (entry,) = found["effects"]
+    (size,) = (p["value"] for p in entry["parameters"].values())
+    assert (entry["equations"], size) == (["motion"], pytest.approx(-4.99e-7, rel=0.02))
+
+
+def test_near_a_run_with_a_term_the_errors_are_those_without_it(hidden):
+    rig = hidden("electric", "-0.5")
+    acting = Acting(("electric",), np.full(SAMPLES, -0.5))
+    near, far = (Forced(search(rig), acting=a, free=True) for a in (acting, None))
+    assert not near.lost
+    told = near.expected / 0.9
+    assert np.sum(near.run.projected**2) == pytest.approx(told, rel=0.1)
+    assert np.sum(near.base.projected**2) > 20 * told
+    assert Near(near).misfit > 0.8 * Finder(far).misfit
+    constant = Formula(("electric",), (Shape(("1.0",), "constant", 1),), 0.0)
+    assert Near(near).coefficients(constant)[0] == pytest.approx(-0.5, rel=0.02)
 
 
 def test_the_share_is_of_the_runs_own_error_beyond_the_noise():
