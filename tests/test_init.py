@@ -66,10 +66,10 @@ def test_what_is_there_is_not_overwritten(greygate, folder):
 
 
 def test_a_rig_to_start_from_is_diagnosed_at_once(greygate, folder):
-    """What the lag of the file leaves out is a tanh of the input, which is in no table."""
+    """What the lag of the file leaves out is a tanh of the input, which is like an input that saturates."""
     assert greygate("init-rig", "run.csv", "--out", "rig", "--output", "y")[0] == 0
     code, printed, _ = greygate("diagnose", "rig", "--json")
     found = json.loads(printed)
-    assert (code, found["verdict"], [effect["id"] for effect in found["effects"]]) == (0, "unexplained", ["unknown"])
-    (where,) = found["where"]
-    assert (where["equation"], where["depends_on"]) == ("lag_y", ["u"])
+    assert (code, found["verdict"], found["effects"][0]["id"]) == (0, "partly_explained", "input_saturation")
+    assert (found["where"][0]["equation"], found["where"][0]["depends_on"]) == ("u", ["u"])
+    assert found["fit"]["holdout"]["y"]["corrected"] < 0.2 * found["fit"]["holdout"]["y"]["calibrated"]
