@@ -225,10 +225,11 @@ def _there(seen: Seen, where: str, unity: str, shapes: Mapping[str, float]) -> b
     if table is None:
         return False
     new = seen.of(unity, shapes)
+    unsure = {s: p.value or p.reach for s, p in plant.parameters.items() if p.reach}  # what is 0 may be something
     for text in table.terms.values():
-        if not any(plant.parameters[n].reach for n in names([text]) if n in plant.parameters):
+        if not names([text]) & unsure.keys():
             continue
-        old = seen.of(text)
+        old = seen.of(text, unsure)
         if len(old) == len(new) and (_alike(old, new) or _alike(old - np.mean(old), new - np.mean(new))):
             return True
     return False
