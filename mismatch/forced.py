@@ -247,7 +247,7 @@ def _signals(base: Fit, values: Mapping[str, float]) -> tuple[dict[str, np.ndarr
         place = rates.get(symbol)
         if symbol in model.recording.channels:
             found[symbol] = model.recording[symbol]
-        elif place in model.recording.channels:
+        elif place is not None and place in model.recording.channels:
             found[symbol] = _rate(model, place, model.smooth_rate(place), simulated[place], run)
         else:
             found[symbol] = run

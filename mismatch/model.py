@@ -311,8 +311,8 @@ class Model:
         out = np.empty((len(at), len(self.plant.states)))
         for j, (symbol, state) in enumerate(self.plant.states.items()):
             if symbol not in scope:
-                begun = (self.window or symbol in brought) and state.start is not None
-                expression = state.start if begun else state.initial
+                start = state.start if self.window or symbol in brought else None
+                expression = state.initial if start is None else start
                 scope[symbol] = scope.evaluate(expression) if isinstance(expression, str) else float(expression)
                 for bound, take in ((state.low, np.maximum), (state.high, np.minimum)):
                     if bound is not None:

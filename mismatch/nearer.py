@@ -80,7 +80,7 @@ class Near(Finder):
 
         Of those that are not told apart it is the least strange. More signals are tried where something is left.
         """
-        found, written = [self.moved(formula, formula.place)], {}
+        found, written = [self.moved(formula, formula.place)], dict[Where, Formula]()
         for larger in (False, True):
             unclear = all(map(self.unclear, found))
             if unclear or not larger:

@@ -331,8 +331,8 @@ def _heard(rig: Rig) -> Rig:
 
 
 def _channel(entry: Mapping) -> Channel:
-    sizes = (entry.get(key, 0.0) for key in ("resolution", "noise_rms"))
-    return Channel(entry["unit"], entry["role"], *sizes, entry.get("hold", STEP))
+    resolution, noise_rms = (entry.get(key, 0.0) for key in ("resolution", "noise_rms"))
+    return Channel(entry["unit"], entry["role"], resolution, noise_rms, entry.get("hold", STEP))
 
 
 Mistakes = Iterator[tuple[str, str]]
