@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from greygate.mismatch.cores import each
-from greygate.mismatch.model import TINY, Model
+from greygate.mismatch.model import LOOSE, TINY, Model
 from greygate.mismatch.noise import Noise, deviation
 from greygate.mismatch.runs import along, whole
 from greygate.mismatch.undetermined import deviations
@@ -27,7 +27,6 @@ from greygate.models.training.gauss_newton import Decades, bounded, search
 
 WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
 WARM_PART = 12  # but no more than such a part of a recording
-LOOSE = 50.0  # shifts of one scale by which a smoothed rate may be off where a window begins, RMS: all of its size
 FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times the noise before it counts
 STEP = 1e-3  # of a parameter's scale, for differences
 SHIFTED = 0.1  # of a shift's scale, for differences

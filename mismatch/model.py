@@ -11,12 +11,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter, savgol_filter
+from scipy.special import chdtri
 
 from greygate.errors import InputError
 from greygate.mismatch import filters as of
 from greygate.mismatch.entries import SENSOR, TIME, Effect
 from greygate.mismatch.joining import join
-from greygate.mismatch.rig import LINEAR, Rig
+from greygate.mismatch.rig import IN, LINEAR, Rig
 from greygate.mismatch.runs import pieces
 from greygate.mismatch.scales import memory, noise, span
 from greygate.plants.expressions import names, summands
@@ -33,13 +34,17 @@ BLUR = "input_blur"  # a nuisance: at 0 an acceleration is smoothed over SMOOTH,
 FINER = 0.6  # of SMOOTH
 SMOOTH = 20  # samples on either side of a sample, over which a smoothed rate is taken
 SMOOTH_START = 10  # likewise, for the velocity at a restart: it may lag a change of motion less than SMOOTH does
+LOOSE = 50.0  # shifts of one scale by which a smoothed rate may be off where a run begins, RMS: all of its size
 SMOOTHED = (0.005, 0.5)  # of a signal's memory, between which smoothing stays: it takes noise and leaves motion
 PART = 8  # a smoothing reaches no further than such a part of a recording
 FEWEST_BESIDE = 2  # samples on either side, at least: a cubic needs four, and five leave one to smooth
 FEWEST_SMOOTHED = 2 * FEWEST_BESIDE + 1  # samples
+BEGINS = "begins_"  # before a state and the recording: a nuisance, by how much its free run begins off the reading
 PARABOLA, CUBIC = 2, 3  # degrees of the polynomials whose derivatives are smoothed rates
 READINGS = 3  # rounds in which a sensor's error, a small function of the true value, is taken off its reading
 TINY = 1e-300  # instead of a size that is 0, by which something is divided
+FEWEST_FIRST = 6  # samples, at least, whose parabola gives the velocity at the first
+STRAYS = 0.01  # chance that so many samples leave their own parabola by noise alone, below which it is too long
 FAR = 10.0  # times its noise, by which a recorded state begins elsewhere than at 0
 START_SIZE = 1e-3  # of the largest reading: the least size of a starting value, by which its steps are scaled
 START_STEP = 1e-4  # of that size, for a difference
@@ -53,7 +58,8 @@ class Model:
 
     values: symbol -> value at which the plant is that of the data sheet.
     locals: the states that begin at every restart as recorded; a fit may shift them. begins: likewise of one free run,
-    where the plant's file says nothing of a beginning and the recording does not begin at 0.
+    where the plant's file says nothing of a beginning and the recording does not begin at 0: the nuisance that shifts
+    a state, and the state. unsure: that nuisance's scale, and its deviation in scales.
     """
 
     def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], window: int | None = None):
@@ -67,7 +73,6 @@ class Model:
         self.finer = {name: how for name, how in derived if how.startswith("smooth_acceleration ")}
         if self.finer:
             self._add(BLUR, "1")
-        self.values = {symbol: p.value for symbol, p in self.plant.parameters.items()}
         self._filters: dict[str, list[tuple[str, tuple[str, ...]]]] = {}
         for effect in effects.values():
             for name, text in effect.filters.items():
@@ -82,7 +87,6 @@ class Model:
         self._parts = next(parts for parts in range(PARTS, 0, -1) if steps % parts == 0)
         self._compiled = Restarted(self.plant, rig.dt / self._parts, self.plant.step)
         self._take(recording, rig.window if window is None else window)
-        self.moving = self._moving()
         self.runs = 0
 
     def _add(self, nuisance: str, unit: str) -> None:
@@ -166,18 +170,27 @@ class Model:
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
         self._last: tuple[tuple | None, np.ndarray] = (None, np.empty((0, 0)))
         self._made: dict[tuple, dict[str, np.ndarray]] = {}
-        self.begins = [] if window else self._elsewhere(rates)
+        elsewhere = {} if window else self._elsewhere(rates)
+        self.begins = {f"{BEGINS}{s}{IN}{recording.name}": s for s in elsewhere}
+        self.unsure = {key: elsewhere[s] for key, s in self.begins.items()}
+        known = {symbol: p.value for symbol, p in self.plant.parameters.items()}
+        self.values = {**known, **dict.fromkeys(self.begins, 0.0)}
+        self.moving = [*self._moving(), *self.begins]
 
-    def _elsewhere(self, rates: Mapping[str, str]) -> list[str]:
-        """Recorded states, and their rates, that do not begin at 0, where the plant's file says nothing else."""
-        recorded, found = self.recording.channels, []
+    def _elsewhere(self, rates: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+        """Recorded states, and their rates, that do not begin at 0, where the plant's file says nothing else.
+
+        With the scale and the standard deviation, in scales, by which the readings may be off where the run begins.
+        """
+        recorded, found = self.recording.channels, dict[str, tuple[float, float]]()
         outside = self.plant.outside.stepped if self.plant.outside else ()
         given = {s: x.initial for s, x in self.plant.states.items() if x.initial == 0.0 or s in outside}
         for symbol in (s for s in given if s in recorded and s in self.rig.channels):
             sigma = max(self.rig.channels[symbol].sigma, noise(recorded[symbol]))
             if abs(recorded[symbol][0] - given[symbol]) > FAR * sigma:
-                found.append(symbol)
-        return found + [rate for rate, symbol in rates.items() if symbol in found and rate in given]
+                found[symbol] = sigma, 1.0
+        paces = {rate: self._pace(symbol) / LOOSE for rate, symbol in rates.items() if symbol in found and rate in given}
+        return found | {rate: (scale, LOOSE) for rate, scale in paces.items()}
 
     def _moving(self) -> list[str]:
         """Parameters that change the states: all but those that only outputs and sensors use."""
@@ -187,9 +200,10 @@ class Model:
         texts += [text for e in plant.equations.values() for text in e.texts]
         bounds = (b for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high))
         texts += [b for b in bounds if isinstance(b, str)]
-        moved = [*plant.inputs, *(SENSOR + channel for channel in self.measured)]
+        begun = [*self.measured, *(s for s in self.begins.values() if s in self.recording.channels)]
+        moved = [*plant.inputs, *(SENSOR + channel for channel in begun)]
         filters = {symbol for name in moved for _, symbols in self._filters.get(name, ()) for symbol in symbols}
-        texts += [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
+        texts += [text for channel in begun for text in self.readings.get(channel, {}).values()]
         outside = plant.outside.parameters if plant.outside else ()
         used = names(texts) | filters | {BLUR, EARLY, *outside}
         return [s for s in plant.parameters if s in used]
@@ -304,9 +318,10 @@ class Model:
         for rate, channel in self.rates.items():
             scope[rate] = self.smooth_rate(channel)[at]
         positions = {state.rate: symbol for symbol, state in self.plant.states.items() if state.rate}
-        for s in self.begins:
+        for key, s in self.begins.items():
             read = s in self.recording.channels
-            scope[s] = self._read_at(s, values, at) if read else self.smooth_rate(positions[s])[at]
+            found = self._read_at(s, values, at) if read else self._first_rate(positions[s])
+            scope[s] = found + values.get(key, 0.0)
         brought = {s for effect in self.effects.values() for s in effect.states}  # they begin so in a free run, too
         out = np.empty((len(at), len(self.plant.states)))
         for j, (symbol, state) in enumerate(self.plant.states.items()):
@@ -333,10 +348,26 @@ class Model:
             self._smooth_channels[key] = smooth
         return self._smooth_channels[key]
 
+    def _first_rate(self, channel: str) -> float:
+        """Velocity of a recorded channel at the first sample: of a parabola over as many samples as follow one."""
+        signal, size = self.recording[channel], max(self.rig.channels[channel].sigma, noise(self.recording[channel]))
+        found, count = 0.0, FEWEST_FIRST
+        while count <= max(len(signal) // PART, FEWEST_FIRST):
+            some = signal[:count]
+            _, rate, _ = parabola = np.polyfit(np.arange(len(some)), some, PARABOLA)
+            left = np.sum((some - np.polyval(parabola, np.arange(len(some)))) ** 2) / size**2
+            if count > FEWEST_FIRST and left > chdtri(len(some) - PARABOLA - 1, STRAYS):
+                break
+            found, count = float(rate), count + max(count // 2, 1)
+        return found / self.rig.dt
+
     def pace(self, rate: str) -> float:
         """RMS of a rate as a restart takes it, in its unit; where it rests, its sensor's noise a sample."""
-        size = float(np.sqrt(np.mean(self.smooth_rate(self.rates[rate]) ** 2)))
-        return size or self.rig.channels[self.rates[rate]].sigma / self.rig.dt
+        return self._pace(self.rates[rate])
+
+    def _pace(self, channel: str) -> float:
+        size = float(np.sqrt(np.mean(self.smooth_rate(channel) ** 2)))
+        return size or self.rig.channels[channel].sigma / self.rig.dt
 
     def _read_at(self, channel: str, values: Mapping[str, float], at: np.ndarray) -> np.ndarray:
         """The state that a channel shows at the samples `at`, what its sensor adds taken off."""
@@ -381,8 +412,8 @@ class Model:
         starts = self.starts(values, signals)
         if shifts is not None and shifts.size:
             symbols = list(self.plant.states)
-            starts[:, [symbols.index(s) for s in self.locals or self.begins]] += shifts
-        key = (tuple(values[s] for s in self.moving), None if shifts is None else shifts.tobytes())
+            starts[:, [symbols.index(s) for s in self.locals]] += shifts
+        key = (tuple(values.get(s, 0.0) for s in self.moving), None if shifts is None else shifts.tobytes())
         last = self._last  # other threads may put another in its place
         if key != last[0]:
             self.runs += 1
@@ -507,36 +538,31 @@ FILTERS: dict[str, Callable[..., np.ndarray]] = {
 
 
 def beginnings(model: Model) -> list[str]:
-    """Parameters that differ from recording to recording: initial values of states, and those the rig calls `anew`."""
+    """Parameters that differ from recording to recording: where a run begins, and those the rig calls `anew`."""
     initial = {s.initial for s in model.plant.states.values() if isinstance(s.initial, str)}
-    return [symbol for symbol in model.plant.parameters if symbol in initial or symbol in model.rig.anew]
+    own = [symbol for symbol in model.plant.parameters if symbol in initial or symbol in model.rig.anew]
+    return [*own, *model.begins]
 
 
-def begun(model: Model, values: Mapping[str, float], samples: int) -> tuple[dict[str, float], np.ndarray | None]:
-    """(`values`, shifts of the states that begin as recorded), as the recording's first `samples` have them.
-
-    The `beginnings` and these shifts are fitted to those samples by least squares.
-    """
+def begun(model: Model, values: Mapping[str, float], samples: int) -> dict[str, float]:
+    """`values`, the `beginnings` as the recording's first `samples` have them, by least squares."""
     values = {**model.values, **values}
-    symbols, states = beginnings(model), model.begins
-    if not (symbols or states) or not samples:
-        return values, None
+    symbols = beginnings(model)
+    if not symbols or not samples:
+        return values
     scale = np.std(model.target, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
 
-    def unpacked(at: np.ndarray) -> tuple[dict[str, float], np.ndarray | None]:
-        given = {**values, **dict(zip(symbols, map(float, at), strict=False))}
-        return given, at[len(symbols) :][None] if states else None
-
     def errors(at):
-        left = ((model.target - model.predict(*unpacked(at)))[:samples] / scale).ravel()
-        return np.clip(np.nan_to_num(left, nan=FARTHEST), -FARTHEST, FARTHEST)
+        left = model.target - model.predict({**values, **dict(zip(symbols, map(float, at), strict=True))})
+        return np.clip(np.nan_to_num((left[:samples] / scale).ravel(), nan=FARTHEST), -FARTHEST, FARTHEST)
 
-    start = np.array([values[s] for s in symbols] + [0.0] * len(states))
+    start = np.array([values[s] for s in symbols])
     size = np.maximum(np.abs(start), START_SIZE * float(np.abs(model.target).max()) + TINY)
 
     def slopes(at):  # by steps of the same size everywhere: near 0 a part of the value is nothing
         steps = START_STEP * np.diag(size)
         return np.stack([(errors(at + step) - errors(at)) / step.sum() for step in steps], axis=1)
 
-    return unpacked(least_squares(errors, start, slopes, x_scale=size, max_nfev=START_TRIALS).x)
+    found = least_squares(errors, start, slopes, x_scale=size, max_nfev=START_TRIALS).x
+    return {**values, **dict(zip(symbols, map(float, found), strict=True))}

@@ -128,6 +128,8 @@ class Search:
             free_run = Likelihood if rig.stated else Coloured
             self.final = self.screen = free_run(modelled(rig, recording, self.effects))
         self.within = WITHIN
+        self.starts = {key: found for model in self.final.model.each for key, found in model.unsure.items()}
+        self.kept = {*self.toleranced, TIMING, EARLY, BLUR, *self.starts}  # what a fit takes from the one before
         self.budget, self.untried = Budget(), dict[str, None]()  # what there was no time for
         self.checked = False  # whether its columns are what rig.toml says (`misread`)
         self.between = False  # whether inputs moved between the samples
@@ -169,6 +171,7 @@ class Search:
         if self.rig.window:
             reach = FARTHEST * self.rig.dt
             found.append(Unknown(TIMING, 0.0, EXACT * self.rig.dt, 1.0, -reach, reach))
+        found += [Unknown(key, 0.0, *self.starts[key]) for key in self.starts]
         if self.between:
             found.append(Unknown(EARLY, MIDDLE, SPREAD, 1.0, 0.0, MOST_EARLY))
         if self.final.model.finer and any("a" in self.effects[key].depends_on for key in hypothesis.effects):
@@ -433,7 +436,7 @@ class Search:
     ) -> Fit:
         """The full fit of a hypothesis, from `values` on."""
         free = {f.symbol for key in hypothesis.effects for f in self.effects[key].free}
-        start = {s: v for s, v in values.items() if s in free or s in self.toleranced or s in (TIMING, EARLY, BLUR)}
+        start = {s: v for s, v in values.items() if s in free or s in self.kept}
         start.update(self.constants(hypothesis))
         if likelihood is self.screen and likelihood is not self.final:
             options = {"enough": ROUGH, "slack": SLACK, **options}

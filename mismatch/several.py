@@ -34,7 +34,7 @@ class Several(Model):
         own = [{*rig.own[name].parameters} if name in rig.own else set() for name in names]
         self.known = [symbols - {*fitted} for symbols, fitted in zip(own, self.fitted, strict=True)]
         for model, fitted in zip(self.all, self.fitted, strict=True):
-            self.values |= {key: model.values[s] for s, key in fitted.items()}
+            self.values |= {key: model.values[s] for s, key in {**fitted, **{b: b for b in model.begins}}.items()}
         self.recording = recording
         self.restarts = np.concatenate([p.start + m.restarts for p, m in zip(self.pieces, self.all, strict=True)])
         self.target = np.concatenate([m.target for m in self.all])
@@ -68,6 +68,7 @@ class Several(Model):
         for model, fitted, known in zip(self.all, self.fitted, self.known, strict=True):
             there = {s: v for s, v in values.items() if IN not in s}
             there |= {s: model.values[s] for s in known}
+            there |= {s: values[s] for s in model.begins if s in values}
             out.append(there | {s: values[key] for s, key in fitted.items() if key in values})
         return out
 
@@ -115,6 +116,6 @@ def by_rule(model: Model, values: Mapping[str, float], skip: int = 0) -> tuple[n
     """
     each = model.in_each(values) if isinstance(model, Several) else [values]
     known = [{s: v for s, v in there.items() if s in m.values} for m, there in zip(model.each, each, strict=True)]
-    predicted = [m.predict(*begun(m, there, skip)) for m, there in zip(model.each, known, strict=True)]
+    predicted = [m.predict(begun(m, there, skip)) for m, there in zip(model.each, known, strict=True)]
     counts = [np.arange(len(m.target)) >= skip for m in model.each]
     return np.concatenate(predicted), np.concatenate(counts)

@@ -84,12 +84,12 @@ def test_a_beginning_is_found_on_the_other_side_of_zero(truth, monkeypatch):
     model = SimpleNamespace(
         values={}, begins=[], target=ramp - truth, predict=lambda values, shifts: ramp - values["zero"]
     )
-    assert begun(model, {"zero": 1.4e-3}, 50)[0]["zero"] == pytest.approx(truth, abs=1e-9)
+    assert begun(model, {"zero": 1.4e-3}, 50)["zero"] == pytest.approx(truth, abs=1e-9)
 
 
 def test_what_a_recording_has_anew_is_fitted_to_its_first_samples(tanks):
     model = Model(tanks, tanks.recording(tanks.folder / "holdout.csv"), {})
-    values, _ = begun(model, {}, tanks.settle)
+    values = begun(model, {}, tanks.settle)
     assert {s for s in values if values[s] != model.values[s]} == {"h_0", "y_0"}
     first = model.target[0, 0]
     assert abs(values["y_0"] - first) < abs(model.values["y_0"] - first)
