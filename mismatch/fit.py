@@ -113,8 +113,19 @@ class Fit:
     @cached_property
     def slopes(self) -> np.ndarray:
         """Of the errors by the unknowns' numbers, less what the shifts explain (windows, rows, k)."""
-        slopes = self.likelihood.slopes(self.unknowns, self.values, self.shifts, self.errors, self.temper)
+        return self._slopes()
+
+    def _slopes(self, both: bool = False) -> np.ndarray:
+        slopes = self.likelihood.slopes(self.unknowns, self.values, self.shifts, self.errors, self.temper, both)
         return self.likelihood.eliminate(slopes, None, self.basis)[0]
+
+    def centred(self) -> "Fit":
+        """This fit, its slopes by differences to both sides: numbers that are known together only stay so in them."""
+        other = copy.copy(self)
+        for name in ("normal", "information", "covariance"):
+            vars(other).pop(name, None)
+        vars(other)["slopes"] = self._slopes(both=True)
+        return other
 
     @cached_property
     def projected(self) -> np.ndarray:
@@ -197,9 +208,9 @@ class Fit:
     @cached_property
     def together(self) -> dict[str, float]:
         """Standard deviation of every unknown's value, the data sheet's errors being those of one cause, if it may."""
-        white = max(1.0, float(np.mean(self.projected**2)))
-        information = (self.information - np.diag(self.weight)) / white
-        found = deviations(information, self.weight, np.sqrt(np.diag(self.covariance)))
+        fit = self.centred()
+        white = max(1.0, float(np.mean(fit.projected**2)))
+        found = deviations(fit.normal[0] / white, self.weight, np.sqrt(np.diag(fit.covariance)))
         return {u.symbol: float(d * abs(u.scale)) for u, d in zip(self.unknowns, found, strict=True)}
 
 
@@ -339,8 +350,10 @@ class Likelihood:
         inside = np.swapaxes(q, 1, 2) @ rows
         return rows - q @ inside, inside
 
-    def slopes(self, symbols: Sequence[Unknown], values: Mapping[str, float], shifts, errors, temper) -> np.ndarray:
-        """Of `errors` by each unknown's number, (windows, rows, k)."""
+    def slopes(
+        self, symbols: Sequence[Unknown], values: Mapping[str, float], shifts, errors, temper, both: bool = False
+    ) -> np.ndarray:
+        """Of `errors` by each unknown's number, (windows, rows, k), by differences to one side or, inside, to both."""
         if not symbols:
             return np.zeros((self.windows, self.block * errors.shape[1], 0))
 
@@ -348,7 +361,9 @@ class Likelihood:
             value = values[u.symbol]
             size = STEP * u.scale * (-1 if value + STEP * u.scale > u.high else 1)
             moved = self.errors({**values, u.symbol: value + size}, shifts)
-            return self.rows(tame(moved - errors) / (size / u.scale), temper)
+            inside = both and u.low <= value - size <= u.high
+            before = self.errors({**values, u.symbol: value - size}, shifts) if inside else errors
+            return self.rows(tame(moved - before) / ((2 if inside else 1) * size / u.scale), temper)
 
         return np.stack(each(slope, symbols), axis=2)
 
