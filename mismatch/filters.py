@@ -67,8 +67,14 @@ INPUT: dict[str, Callable[..., np.ndarray]] = {
 
 
 def _at(signal: np.ndarray, instants: np.ndarray) -> np.ndarray:
-    """The signal at instants that count in samples; before and after the recording it stays as it was."""
-    return np.interp(instants, np.arange(len(signal)), signal)
+    """The signal at instants that count in samples; before and after the recording it goes on as it went, in range."""
+    last = len(signal) - 1
+    found = np.interp(instants, np.arange(last + 1), signal)
+    if last and (instants[0] < 0 or instants[-1] > last):
+        before, after = np.minimum(instants, 0.0), np.maximum(instants - last, 0.0)
+        found += before * (signal[1] - signal[0]) + after * (signal[-1] - signal[-2])
+        found = np.clip(found, signal.min(), signal.max())
+    return found
 
 
 def late(signal: np.ndarray, by: float, dt: float) -> np.ndarray:

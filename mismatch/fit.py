@@ -28,7 +28,8 @@ from greygate.models.training.gauss_newton import Decades, bounded, search
 WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
 WARM_PART = 12  # but no more than such a part of a recording
 FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times the noise before it counts
-STEP = 1e-3  # of a parameter's scale, for differences
+STEP = 1e-3  # of the scale of an effect's number, for differences; it may act by steps of a signal
+FINE = 1e-5  # likewise of a plant's: the truncation of larger differences makes what is known together look known
 SHIFTED = 0.1  # of a shift's scale, for differences
 BLOCK = 250  # samples within which errors may depend on each other, for intervals where there are no windows;
 BLOCK_PART = 12  # but no more than such a part of a recording
@@ -359,7 +360,8 @@ class Likelihood:
 
         def slope(u: Unknown) -> np.ndarray:
             value = values[u.symbol]
-            size = STEP * u.scale * (-1 if value + STEP * u.scale > u.high else 1)
+            size = (STEP if np.isinf(u.prior) and not both else FINE) * u.scale
+            size *= -1 if value + size > u.high else 1
             moved = self.errors({**values, u.symbol: value + size}, shifts)
             inside = both and u.low <= value - size <= u.high
             before = self.errors({**values, u.symbol: value - size}, shifts) if inside else errors

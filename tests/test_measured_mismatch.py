@@ -81,9 +81,7 @@ def test_overflow_of_the_tanks_comes_nearest_where_a_sensor_offset_is_the_altern
 def test_a_beginning_is_found_on_the_other_side_of_zero(truth, monkeypatch):
     monkeypatch.setattr("greygate.mismatch.model.beginnings", lambda model: ["zero"])
     ramp = np.linspace(0.0, 0.3, 100)[:, None]
-    model = SimpleNamespace(
-        values={}, begins=[], target=ramp - truth, predict=lambda values, shifts: ramp - values["zero"]
-    )
+    model = SimpleNamespace(values={}, target=ramp - truth, predict=lambda values: ramp - values["zero"])
     assert begun(model, {"zero": 1.4e-3}, 50)["zero"] == pytest.approx(truth, abs=1e-9)
 
 
