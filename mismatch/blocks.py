@@ -19,7 +19,7 @@ from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY
 from greygate.mismatch.rig import IN
 from greygate.mismatch.several import modelled
-from greygate.mismatch.shown_by import SHOWN, margin, recording_of
+from greygate.mismatch.shown_by import SHOWN, margin
 
 FOLDS, ROUNDS = 5, 2  # blocks, and pieces of each: spread, so that no regime of the plant is held out entirely
 PERCENT = 100
@@ -96,7 +96,7 @@ class Judge:
         new = [u.symbol for u in fit.unknowns if (u.symbol, np.isinf(u.prior)) not in had]
         if not (self.several and new):
             return found
-        of, cut = recording_of(fit.likelihood), []
+        of, cut = fit.likelihood.recording, []
         for k, held in enumerate(found):
             if margin(fit, new, of != k) > SHOWN:
                 cut.append(held)

@@ -36,6 +36,7 @@ BLOCK_PART = 12  # but no more than such a part of a recording
 HELD = 1000  # samples that are learnt from, then judged on, by turns;
 HELD_PART = 20  # but no more than such a part of a recording
 SINGULAR, BREAD_SINGULAR = 1e-13, 1e-14  # of the largest singular value, below which numbers cannot be told apart
+ROUNDING = 1e-6  # of a number's variance: what leaving out a recording adds below it is rounding
 ITERATIONS = 15  # of a fit, at most: near its end each gains more digits than the one before
 DIVERGED = 1e100  # standard deviations of noise: what is farther away comes from a run that diverges
 NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal distribution
@@ -167,7 +168,23 @@ class Fit:
         robust = bread @ (meat + naive) @ bread
         # no narrower than if errors of this size were white
         white = bread * max(1.0, float(np.mean(self.projected**2)))
-        return _larger(robust, white)
+        return _larger(_larger(robust, white), white * self._spread())
+
+    def _spread(self) -> np.ndarray:
+        """Factor of each number's variance (k,), by how far the recordings disagree beyond what each leaves open.
+
+        The change that leaving out a recording makes has a variance of its own: what it adds to the number's
+        (Hausman, Econometrica 46, 1978).
+        """
+        of, all_ = self.likelihood.recording, _inverse(self.information)
+        names = np.unique(of)
+        found = np.zeros(len(self.numbers))
+        for name in names if len(names) > 1 else ():
+            kept = self.slopes[of != name].reshape(-1, len(self.numbers))
+            more = np.diag(_inverse(kept.T @ kept + np.diag(self.weight)) - all_)
+            step = self.step(of != name)
+            found += np.where(more > ROUNDING * np.diag(all_), step**2 / np.maximum(more, TINY), 0.0) / len(names)
+        return np.maximum(found / max(1.0, float(np.mean(self.projected**2))), 1.0)
 
     def widened(self, symbols: Collection[str]) -> float:
         """The largest factor by which errors that depend on each other widen the variance of one of `symbols`."""
@@ -293,6 +310,12 @@ class Likelihood:
         """`what` (samples, channels, ...) in units of the noise, less what the noise before makes expected."""
         scaled = what / self.sigma[(..., *(None,) * (what.ndim - 2))]
         return along(lambda part: self.noise.white(part, self.model.window or len(part)), self.model.pieces, scaled)
+
+    @property
+    def recording(self) -> np.ndarray:
+        """The number of the recording in which each window lies (windows,)."""
+        first = np.arange(len(self.model.target))[self.kept][:: self.block]
+        return np.searchsorted([piece.stop for piece in self.model.pieces], first, side="right")
 
     def alternate(self, stretch: int) -> np.ndarray:
         """Whether each window is in the first half, where stretches of so many samples are in one half by turns."""

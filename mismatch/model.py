@@ -189,7 +189,9 @@ class Model:
             sigma = max(self.rig.channels[symbol].sigma, noise(recorded[symbol]))
             if abs(recorded[symbol][0] - given[symbol]) > FAR * sigma:
                 found[symbol] = sigma, 1.0
-        paces = {rate: self._pace(symbol) / LOOSE for rate, symbol in rates.items() if symbol in found and rate in given}
+        paces = {
+            rate: self._pace(symbol) / LOOSE for rate, symbol in rates.items() if symbol in found and rate in given
+        }
         return found | {rate: (scale, LOOSE) for rate, scale in paces.items()}
 
     def _moving(self) -> list[str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greygate.mismatch.fit import NORMAL, Fit, Likelihood
+from greygate.mismatch.fit import NORMAL, Fit
 from greygate.mismatch.intervals import WIDER
 from greygate.mismatch.model import TINY
 
@@ -57,18 +57,12 @@ class Shown:
 
 def shown_by(fit: Fit, symbols: Collection[str]) -> Shown | None:
     """What each recording says of the unknowns `symbols`; None where there is one recording."""
-    model, of = fit.likelihood.model, recording_of(fit.likelihood)
+    model, of = fit.likelihood.model, fit.likelihood.recording
     names = [run.name for run in model.recording.runs]
     if len(names) < 2:
         return None
     alone = {name: margin(fit, symbols, of == k) for k, name in enumerate(names)}
     return Shown(alone, {name: margin(fit, symbols, of != k) for k, name in enumerate(names)})
-
-
-def recording_of(likelihood: Likelihood) -> np.ndarray:
-    """The number of the recording in which each window lies (windows,)."""
-    first = np.arange(len(likelihood.model.target))[likelihood.kept][:: likelihood.block]
-    return np.searchsorted([piece.stop for piece in likelihood.model.pieces], first, side="right")
 
 
 def margin(fit: Fit, symbols: Collection[str], windows: np.ndarray) -> float:

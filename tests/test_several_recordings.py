@@ -19,7 +19,6 @@ from greygate.mismatch.runs import Runs, along, whole
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.seen import Seen
 from greygate.mismatch.several import Several, modelled
-from greygate.mismatch.shown_by import recording_of
 from greygate.mismatch.uneven import resampled
 from greygate.plants import Plant, simulate
 from greygate.plants.plant import Parameter
@@ -220,7 +219,7 @@ def test_a_run_of_several_is_each_run_alone(tmp_path, window):
         np.testing.assert_array_equal(joined.smooth_rate("x"), np.concatenate([m.smooth_rate("x") for m in alone]))
         ranges = [Likelihood(m) for m in (joined, *alone)]
         assert ranges[0].windows == sum(one.windows for one in ranges[1:])
-        assert recording_of(ranges[0]).tolist() == [0] * 6 + [1] * 6 + [2] * 6
+        assert ranges[0].recording.tolist() == [0] * 6 + [1] * 6 + [2] * 6
         shifts = np.random.default_rng(0).standard_normal((18, 2))
         moved = [m.predict(values, s) for m, s in zip(alone, np.split(shifts, 3), strict=True)]
         np.testing.assert_array_equal(joined.predict(values, shifts), np.concatenate(moved))
