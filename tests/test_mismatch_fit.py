@@ -446,7 +446,18 @@ def test_intervals_from_few_windows_are_as_wide_as_those_from_many():
         step = -drawn @ signs / windows
         left = np.repeat((drawn + signs @ step)[:, None], rows, axis=1)
         asked = tuple(Unknown(name, 0.0, 1.0) for name in "abc")
-        fit = Fit(SimpleNamespace(), asked, {}, step, np.zeros((windows, 0)), left, np.zeros(3), 0.0, True, np.ones(1))
+        fit = Fit(
+            SimpleNamespace(recording=np.zeros(windows)),
+            asked,
+            {},
+            step,
+            np.zeros((windows, 0)),
+            left,
+            np.zeros(3),
+            0.0,
+            True,
+            np.ones(1),
+        )
         fit.__dict__.update(slopes=slopes, projected=left)
         told.append(np.diag(fit.covariance))
     assert np.mean(told) == pytest.approx(1 / windows, rel=0.1)
