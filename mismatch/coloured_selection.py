@@ -188,12 +188,20 @@ class ColouredSelection(Selection):
         return any(_foretells(*both, exact) for exact in (False, True) for both in (runs, (current, fit)))
 
     def exchanged(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
-        """The same with earlier effects replaced by others that do better now that the last one is there."""
-        for drop in best.effects[:-1]:
+        """The same with earlier effects replaced by others that do better now that the last one is there.
+
+        And with any replaced by a rare one that acts where it acts, such as a late channel by its sensor's lag.
+        """
+        for drop in best.effects:
+            kin = self._kin(drop)
+            if not kin and drop == best.effects[-1]:
+                continue
             less = best.without(drop)
             without = self.fits.get(less) or self.search.fit(current.likelihood, less, current.values)
             self.fits[less] = without
-            others = [s for s in self.promising(without, less, EXCHANGED)[0] if s.hypothesis.effects]
+            plain, rare = self.promising(without, less, EXCHANGED)
+            others = [s for s in (plain if drop != best.effects[-1] else []) if s.hypothesis.effects]
+            others += [s for s in rare if set(s.hypothesis.effects) & set(kin)]
             others = [s for s in others if less.plus(s.hypothesis) not in self.fits]
             for hypothesis, rough in self._rough(less, without, others):
                 here = self.run(best, current)
@@ -203,6 +211,12 @@ class ColouredSelection(Selection):
                 if other.cost + _price(other, current) < current.cost:
                     best, current = hypothesis, other
         return best, current
+
+    def _kin(self, key: str) -> list[str]:
+        """Rare effects where that one acts, of no more numbers."""
+        effects, one = self.search.effects, self.search.effects[key]
+        alike = (k for k, e in effects.items() if e.rare and e.equations == one.equations)
+        return [k for k in alike if len(effects[k].free) <= len(one.free)]
 
     def backward(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
         """Drop the effects that no longer pay."""

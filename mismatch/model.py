@@ -365,11 +365,10 @@ class Model:
 
     def pace(self, rate: str) -> float:
         """RMS of a rate as a restart takes it, in its unit; where it rests, its sensor's noise a sample."""
-        return self._pace(self.rates[rate])
+        return self._pace(self.rates[rate], self.smooth_rate(self.rates[rate]))
 
-    def _pace(self, channel: str) -> float:
-        size = float(np.sqrt(np.mean(self.smooth_rate(channel) ** 2)))
-        return size or self.rig.channels[channel].sigma / self.rig.dt
+    def _pace(self, channel: str, rate: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(rate**2))) or self.rig.channels[channel].sigma / self.rig.dt
 
     def _read_at(self, channel: str, values: Mapping[str, float], at: np.ndarray) -> np.ndarray:
         """The state that a channel shows at the samples `at`, what its sensor adds taken off."""
