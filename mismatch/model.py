@@ -190,9 +190,11 @@ class Model:
             if abs(recorded[symbol][0] - given[symbol]) > FAR * sigma:
                 found[symbol] = sigma, 1.0
         paces = {
-            rate: self._pace(symbol) / LOOSE for rate, symbol in rates.items() if symbol in found and rate in given
+            rate: (self._pace(symbol, self._smoothed(symbol, 1)) / LOOSE, LOOSE)
+            for rate, symbol in rates.items()
+            if symbol in found and rate in given
         }
-        return found | {rate: (scale, LOOSE) for rate, scale in paces.items()}
+        return found | paces
 
     def _moving(self) -> list[str]:
         """Parameters that change the states: all but those that only outputs and sensors use."""
