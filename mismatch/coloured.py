@@ -116,6 +116,7 @@ class Coloured(Likelihood):
         rival: float = np.inf,
         enough: float = ENOUGH,
         slack: float = 0.0,
+        both: bool = False,
     ) -> Fit:
         """Fit plant and noise in turn until neither gains. `cost` is -2 log of the joint likelihood and the priors.
 
@@ -124,7 +125,9 @@ class Coloured(Likelihood):
         likelihood, values = self, dict(values or {})
         best: Fit | None = None
         for _ in range(ROUNDS if self.order else WHITE_ROUNDS):
-            fit = Likelihood.fit(likelihood, unknowns, values, shifts, iterations, enough=enough, slack=slack)
+            fit = Likelihood.fit(
+                likelihood, unknowns, values, shifts, iterations, enough=enough, slack=slack, both=both
+            )
             residual = likelihood.residual(fit.values)
             if not np.isfinite(residual).all():
                 return best or replace(fit, cost=np.inf)

@@ -40,6 +40,7 @@ CLOSED = PART  # of the misfit, that a fitted term must take, as a name must: wh
 NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
 OPEN_VERDICTS = Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED
 LEAST_SURE = 0.5  # of confidence in a name, below which something else is likelier
+LED_BACK = 4  # iterations: each leads a numbers' prior all the way where the run is linear
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 
 
@@ -179,7 +180,7 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     """The steps of a diagnosis, once, with the noise that the search has now."""
     search.within = WITHIN
     state = _supported(search, progress)
-    for step in (_claimed, _confident, _regained, _lasting, _closed):
+    for step in (_claimed, _confident, _regained, _lasting, _led_back, _closed):
         state = step(state)
     return _diagnosis(state)
 
@@ -342,6 +343,18 @@ def _lasting(state: State) -> State:
         return state
     over = next((why for halves in (False, True) if (why := Judge(likelihood, halves).overfitted(state.found.fit))), "")
     return replace(state, verdict=Verdict.UNEXPLAINED, left=over) if over else state
+
+
+def _led_back(state: State) -> State:
+    """What a free run knows together only, such as mass, force and friction, is led back to the data sheet.
+
+    Along a long run the slopes of a fit are too coarse to show that nothing changes there.
+    """
+    fit = state.found.fit
+    if state.open or state.search.rig.window:
+        return state
+    again = fit.likelihood.fit(fit.unknowns, fit.values, fit.shifts, iterations=LED_BACK, both=True)
+    return replace(state, found=replace(state.found, fit=min(fit, again, key=lambda f: f.cost)))
 
 
 def _closed(state: State) -> State:

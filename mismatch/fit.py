@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from greygate.mismatch.cores import each
-from greygate.mismatch.model import LOOSE, TINY, Model
+from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise, deviation
 from greygate.mismatch.runs import along, whole
 from greygate.mismatch.undetermined import deviations
@@ -27,9 +27,10 @@ from greygate.models.training.gauss_newton import Decades, bounded, search
 
 WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
 WARM_PART = 12  # but no more than such a part of a recording
+LOOSE = 50.0  # shifts of one scale by which a smoothed rate may be off where a window begins, RMS: all of its size
 FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times the noise before it counts
 STEP = 1e-3  # of the scale of an effect's number, for differences; it may act by steps of a signal
-FINE = 1e-5  # likewise of a plant's: the truncation of larger differences makes what is known together look known
+FINE = 1e-5  # likewise to both sides: the truncation of larger ones makes what is known together look known
 SHIFTED = 0.1  # of a shift's scale, for differences
 BLOCK = 250  # samples within which errors may depend on each other, for intervals where there are no windows;
 BLOCK_PART = 12  # but no more than such a part of a recording
@@ -43,6 +44,8 @@ NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal d
 HALVINGS = 6  # of the way from the unknowns' origins to a start from which the run diverges
 ENOUGH = 0.05  # of cost, a twentieth of what noise alone makes of one parameter: a further step tells nothing more
 RIDGE = 1e-9  # added to the curvature of each number, far below a prior's: what does not act on the errors stays
+LESS = 0.1  # of a difference, that in a smooth run changes as much of the errors
+STRAIGHT_RUN = 0.01  # of the change of the errors, by which a tenth of it may be off in a run that is smooth
 STRAIGHT = 0.7  # share of the promised gain from which the linearisation still serves; a new one costs k + 1 runs
 HOPED = 2.0  # times the gain of its last step, that a fit may still gain: near its end steps gain ever less
 NEAR = 0.1  # of what the rival's cost exceeds that of noise: a fit that is not hoped to come so near gives up,
@@ -168,9 +171,9 @@ class Fit:
         robust = bread @ (meat + naive) @ bread
         # no narrower than if errors of this size were white
         white = bread * max(1.0, float(np.mean(self.projected**2)))
-        return _larger(_larger(robust, white), white * self._spread())
+        return _larger(robust, white)
 
-    def _spread(self) -> np.ndarray:
+    def spread(self) -> np.ndarray:
         """Factor of each number's variance (k,), by how far the recordings disagree beyond what each leaves open.
 
         The change that leaving out a recording makes has a variance of its own: what it adds to the number's
@@ -229,6 +232,7 @@ class Fit:
         fit = self.centred()
         white = max(1.0, float(np.mean(fit.projected**2)))
         found = deviations(fit.normal[0] / white, self.weight, np.sqrt(np.diag(fit.covariance)))
+        found = found * np.sqrt(fit.spread())
         return {u.symbol: float(d * abs(u.scale)) for u, d in zip(self.unknowns, found, strict=True)}
 
 
@@ -375,15 +379,18 @@ class Likelihood:
         return rows - q @ inside, inside
 
     def slopes(
-        self, symbols: Sequence[Unknown], values: Mapping[str, float], shifts, errors, temper, both: bool = False
+        self, symbols: Sequence[Unknown], values: Mapping[str, float], shifts, errors, temper, both=False, fine=False
     ) -> np.ndarray:
-        """Of `errors` by each unknown's number, (windows, rows, k), by differences to one side or, inside, to both."""
+        """Of `errors` by each unknown's number, (windows, rows, k), by differences to one side or, inside, to both.
+
+        fine: by small ones of the plant's own numbers.
+        """
         if not symbols:
             return np.zeros((self.windows, self.block * errors.shape[1], 0))
 
         def slope(u: Unknown) -> np.ndarray:
             value = values[u.symbol]
-            size = (STEP if np.isinf(u.prior) and not both else FINE) * u.scale
+            size = (FINE if both or (fine and np.isfinite(u.prior)) else STEP) * u.scale
             size *= -1 if value + size > u.high else 1
             moved = self.errors({**values, u.symbol: value + size}, shifts)
             inside = both and u.low <= value - size <= u.high
@@ -402,15 +409,18 @@ class Likelihood:
         rival: float = np.inf,
         enough: float = ENOUGH,
         slack: float = 0.0,
+        both: bool = False,
     ) -> Fit:
         """The best fit near `values` (of unknowns, and of other parameters, which stay) and `shifts`.
 
         The fit has converged when a step lowers the cost by less than `enough`, or by less than `slack` as a share of
         what the cost exceeds that of noise. rival: a cost; a fit that is on no way to it gives up. tempered: errors
         beyond the sensors' noise are taken for what the plant leaves out, so that they count less and the data sheet
-        counts more. The cost is inf if the run diverges from `values` and from nearer to the unknowns' origins too.
+        counts more. both: by finer slopes, to both sides. The cost is inf if the run diverges from `values` and from
+        nearer to the unknowns' origins too.
         """
         descent = _Descent(self, unknowns, values or {}, self.nothing() if shifts is None else shifts.copy())
+        descent.both = both
         converged = descent.at.cost < np.inf and descent.run(iterations, tempered, rival, enough, slack)
         return descent.fit(converged)
 
@@ -445,6 +455,9 @@ class _Descent:
     Simulations are dear, and a linearisation takes one for every unknown and every shift: it is kept for as long as the
     steps do what it promises.
     """
+
+    both = False  # sides, to which slopes are taken
+    fine: bool | None = None  # whether small differences of the plant's numbers serve, as soon as that is known
 
     def __init__(self, likelihood: Likelihood, unknowns: Sequence[Unknown], values: Mapping, shifts: np.ndarray):
         self.likelihood, self.unknowns, self.fixed = likelihood, tuple(unknowns), dict(values)
@@ -509,10 +522,23 @@ class _Descent:
         likelihood, at = self.likelihood, self.at
         values = _values(self.unknowns, at.numbers, self.fixed)
         basis = likelihood.basis(values, at.shifts, at.errors, self.temper)
-        slopes = likelihood.slopes(self.unknowns, values, at.shifts, at.errors, self.temper)
+        if self.fine is None:
+            self.fine = self.smooth()
+        slopes = likelihood.slopes(self.unknowns, values, at.shifts, at.errors, self.temper, self.both, self.fine)
         slopes, explained = likelihood.eliminate(slopes, None, basis)
         flat = slopes.reshape(-1, len(self.unknowns))
         return _Linear(flat, explained, basis, flat.T @ flat)
+
+    def smooth(self) -> bool:
+        """Whether a tenth of a difference changes a tenth of the errors: no friction sticks, and nothing is lost."""
+        own = [np.isfinite(u.prior) for u in self.unknowns]
+        if self.likelihood.model.rig.window or not any(own):
+            return False
+        way = STEP * np.where(self.at.numbers + STEP > self.high, -1.0, 1.0) * own
+        far, near = (
+            tame(self.point(self.at.numbers + s * way, self.at.shifts).errors - self.at.errors) for s in (1.0, LESS)
+        )
+        return bool(np.linalg.norm(near / LESS - far) <= STRAIGHT_RUN * np.linalg.norm(far))
 
     def step(self, linear: _Linear, damping: Decades, enough: float, fresh: bool) -> tuple[_Point, float] | None:
         """(the point that a step leads to, the gain of cost that the linear model promises of it).

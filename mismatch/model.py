@@ -34,7 +34,6 @@ BLUR = "input_blur"  # a nuisance: at 0 an acceleration is smoothed over SMOOTH,
 FINER = 0.6  # of SMOOTH
 SMOOTH = 20  # samples on either side of a sample, over which a smoothed rate is taken
 SMOOTH_START = 10  # likewise, for the velocity at a restart: it may lag a change of motion less than SMOOTH does
-LOOSE = 50.0  # shifts of one scale by which a smoothed rate may be off where a run begins, RMS: all of its size
 SMOOTHED = (0.005, 0.5)  # of a signal's memory, between which smoothing stays: it takes noise and leaves motion
 PART = 8  # a smoothing reaches no further than such a part of a recording
 FEWEST_BESIDE = 2  # samples on either side, at least: a cubic needs four, and five leave one to smooth
@@ -44,6 +43,7 @@ PARABOLA, CUBIC = 2, 3  # degrees of the polynomials whose derivatives are smoot
 READINGS = 3  # rounds in which a sensor's error, a small function of the true value, is taken off its reading
 TINY = 1e-300  # instead of a size that is 0, by which something is divided
 FEWEST_FIRST = 6  # samples, at least, whose parabola gives the velocity at the first
+BENT = 3.0  # times its deviation, by which that velocity may be off: a parabola bends unseen
 STRAYS = 0.01  # chance that so many samples leave their own parabola by noise alone, below which it is too long
 FAR = 10.0  # times its noise, by which a recorded state begins elsewhere than at 0
 START_SIZE = 1e-3  # of the largest reading: the least size of a starting value, by which its steps are scaled
@@ -59,7 +59,7 @@ class Model:
     values: symbol -> value at which the plant is that of the data sheet.
     locals: the states that begin at every restart as recorded; a fit may shift them. begins: likewise of one free run,
     where the plant's file says nothing of a beginning and the recording does not begin at 0: the nuisance that shifts
-    a state, and the state. unsure: that nuisance's scale, and its deviation in scales.
+    a state, and the state. unsure: that nuisance's standard deviation. first: the rates of such states, as recorded.
     """
 
     def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], window: int | None = None):
@@ -170,31 +170,30 @@ class Model:
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
         self._last: tuple[tuple | None, np.ndarray] = (None, np.empty((0, 0)))
         self._made: dict[tuple, dict[str, np.ndarray]] = {}
-        elsewhere = {} if window else self._elsewhere(rates)
-        self.begins = {f"{BEGINS}{s}{IN}{recording.name}": s for s in elsewhere}
-        self.unsure = {key: elsewhere[s] for key, s in self.begins.items()}
+        self.first, self.unsure = ({}, {}) if window else self._elsewhere(rates)
+        self.begins = {key: key.removeprefix(BEGINS).partition(IN)[0] for key in self.unsure}
         known = {symbol: p.value for symbol, p in self.plant.parameters.items()}
         self.values = {**known, **dict.fromkeys(self.begins, 0.0)}
         self.moving = [*self._moving(), *self.begins]
 
-    def _elsewhere(self, rates: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+    def _elsewhere(self, rates: Mapping[str, str]) -> tuple[dict[str, float], dict[str, float]]:
         """Recorded states, and their rates, that do not begin at 0, where the plant's file says nothing else.
 
-        With the scale and the standard deviation, in scales, by which the readings may be off where the run begins.
+        (First rates, by how much states may begin off their readings as a standard deviation by nuisance.)
         """
-        recorded, found = self.recording.channels, dict[str, tuple[float, float]]()
+        recorded, first, unsure = self.recording.channels, dict[str, float](), dict[str, float]()
         outside = self.plant.outside.stepped if self.plant.outside else ()
         given = {s: x.initial for s, x in self.plant.states.items() if x.initial == 0.0 or s in outside}
+        ways = {position: rate for rate, position in rates.items() if rate in given}
         for symbol in (s for s in given if s in recorded and s in self.rig.channels):
             sigma = max(self.rig.channels[symbol].sigma, noise(recorded[symbol]))
             if abs(recorded[symbol][0] - given[symbol]) > FAR * sigma:
-                found[symbol] = sigma, 1.0
-        paces = {
-            rate: (self._pace(symbol, self._smoothed(symbol, 1)) / LOOSE, LOOSE)
-            for rate, symbol in rates.items()
-            if symbol in found and rate in given
-        }
-        return found | paces
+                unsure[f"{BEGINS}{symbol}{IN}{self.recording.name}"] = sigma
+                if rate := ways.get(symbol):
+                    first[rate], away = first_rate(recorded[symbol], sigma)
+                    first[rate] /= self.rig.dt
+                    unsure[f"{BEGINS}{rate}{IN}{self.recording.name}"] = BENT * away / self.rig.dt
+        return first, unsure
 
     def _moving(self) -> list[str]:
         """Parameters that change the states: all but those that only outputs and sensors use."""
@@ -321,10 +320,8 @@ class Model:
             scope[channel] = self._read_at(channel, values, at)
         for rate, channel in self.rates.items():
             scope[rate] = self.smooth_rate(channel)[at]
-        positions = {state.rate: symbol for symbol, state in self.plant.states.items() if state.rate}
         for key, s in self.begins.items():
-            read = s in self.recording.channels
-            found = self._read_at(s, values, at) if read else self._first_rate(positions[s])
+            found = self.first[s] if s in self.first else self._read_at(s, values, at)
             scope[s] = found + values.get(key, 0.0)
         brought = {s for effect in self.effects.values() for s in effect.states}  # they begin so in a free run, too
         out = np.empty((len(at), len(self.plant.states)))
@@ -352,25 +349,10 @@ class Model:
             self._smooth_channels[key] = smooth
         return self._smooth_channels[key]
 
-    def _first_rate(self, channel: str) -> float:
-        """Velocity of a recorded channel at the first sample: of a parabola over as many samples as follow one."""
-        signal, size = self.recording[channel], max(self.rig.channels[channel].sigma, noise(self.recording[channel]))
-        found, count = 0.0, FEWEST_FIRST
-        while count <= max(len(signal) // PART, FEWEST_FIRST):
-            some = signal[:count]
-            _, rate, _ = parabola = np.polyfit(np.arange(len(some)), some, PARABOLA)
-            left = np.sum((some - np.polyval(parabola, np.arange(len(some)))) ** 2) / size**2
-            if count > FEWEST_FIRST and left > chdtri(len(some) - PARABOLA - 1, STRAYS):
-                break
-            found, count = float(rate), count + max(count // 2, 1)
-        return found / self.rig.dt
-
     def pace(self, rate: str) -> float:
         """RMS of a rate as a restart takes it, in its unit; where it rests, its sensor's noise a sample."""
-        return self._pace(self.rates[rate], self.smooth_rate(self.rates[rate]))
-
-    def _pace(self, channel: str, rate: np.ndarray) -> float:
-        return float(np.sqrt(np.mean(rate**2))) or self.rig.channels[channel].sigma / self.rig.dt
+        size = float(np.sqrt(np.mean(self.smooth_rate(self.rates[rate]) ** 2)))
+        return size or self.rig.channels[self.rates[rate]].sigma / self.rig.dt
 
     def _read_at(self, channel: str, values: Mapping[str, float], at: np.ndarray) -> np.ndarray:
         """The state that a channel shows at the samples `at`, what its sensor adds taken off."""
@@ -538,6 +520,24 @@ FILTERS: dict[str, Callable[..., np.ndarray]] = {
 
 
 # -- where a recording begins ----------------------------------------------------------------------------------------
+
+
+def first_rate(signal: np.ndarray, sigma: float) -> tuple[float, float]:
+    """(the change a sample at the first, its standard deviation), of a parabola over as many samples as follow one.
+
+    sigma: of the signal's noise.
+    """
+    found, count = (0.0, np.inf), FEWEST_FIRST
+    while count <= max(len(signal) // PART, FEWEST_FIRST):
+        some = signal[:count]
+        columns = np.vander(np.arange(len(some)), PARABOLA + 1)
+        parabola = np.linalg.lstsq(columns, some)[0]
+        left = np.sum((some - columns @ parabola) ** 2) / sigma**2
+        if count > FEWEST_FIRST and left > chdtri(len(some) - PARABOLA - 1, STRAYS):
+            break
+        away = sigma * np.sqrt(np.linalg.inv(columns.T @ columns)[-2, -2])
+        found, count = (float(parabola[-2]), float(away)), count + max(count // 2, 1)
+    return found
 
 
 def beginnings(model: Model) -> list[str]:

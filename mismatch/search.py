@@ -171,7 +171,7 @@ class Search:
         if self.rig.window:
             reach = FARTHEST * self.rig.dt
             found.append(Unknown(TIMING, 0.0, EXACT * self.rig.dt, 1.0, -reach, reach))
-        found += [Unknown(key, 0.0, *self.starts[key]) for key in self.starts]
+        found += [Unknown(key, 0.0, deviation, 1.0) for key, deviation in self.starts.items()]
         if self.between:
             found.append(Unknown(EARLY, MIDDLE, SPREAD, 1.0, 0.0, MOST_EARLY))
         if self.final.model.finer and any("a" in self.effects[key].depends_on for key in hypothesis.effects):
