@@ -131,6 +131,7 @@ class Simulated:
     own: Collection[str]
     elements: Mapping[tuple[str, str], str]
     controls: tuple[str, ...]
+    fixed: bool = False
     source: str = SOURCE
     _idle: list[Pair] = field(default_factory=list)
 

@@ -4,16 +4,19 @@ Such a plant has the simulator's states first. In each balance of a velocity sta
 itself, as far as they can be said, so that a diagnosis knows of them; the others are what effects add. Over each step
 of the simulator the sum of these others acts on it as a force. So that a stiff one, such as dry friction, does not make
 the step unstable, it is taken where the step ends: as a force less a resistance times the change of the velocity.
+
+A simulator that gives rates in place of steps (`Rated`) is integrated as any plant, with what effects add to the rates.
 """
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 
 class Outside(Protocol):
     """What a kind of simulator answers.
 
+    fixed: whether it takes no other steps than `Plant.step`.
     stepped: the plant's states that it steps, its first; the last `forced` of them that are velocities are
     `stepped[first : first + forced]`, on each of which a force acts.
     parameters: those of the plant that it takes. own: "equation.term" that it computes itself. elements: (general
@@ -24,6 +27,8 @@ class Outside(Protocol):
     by `slope[i]` times each change of velocity; x then has the states after it.
     """
 
+    @property
+    def fixed(self) -> bool: ...
     @property
     def stepped(self) -> tuple[str, ...]: ...
     @property
@@ -44,6 +49,17 @@ class Outside(Protocol):
         inputs: the columns of u. What numba takes as `at`.
         """
         ...
+
+
+@runtime_checkable
+class Rated(Outside, Protocol):
+    """One that gives rates. rates: functions that numba compiles; `rates(at, x, u, later, dx)` adds those of `stepped`.
+
+    later: s since the row of inputs u began to act. It has no `source`.
+    """
+
+    @property
+    def rates(self) -> str: ...
 
 
 RUN = '''

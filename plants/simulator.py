@@ -19,7 +19,7 @@ from greygate.errors import InputError
 from greygate.generated import load
 from greygate.plants.expressions import names, parse
 from greygate.plants.functions import FUNCTIONS, text
-from greygate.plants.outside import RUN, Outside
+from greygate.plants.outside import RUN, Outside, Rated
 from greygate.plants.plant import Definition, Equation, Plant, Values
 from greygate.plants.recording import Recording
 
@@ -32,6 +32,8 @@ _STAGES = (
     ("19372/6561", "-25360/2187", "64448/6561", "-212/729"),
     ("9017/3168", "-355/33", "46732/5247", "49/176", "-5103/18656"),
 )
+STEP = 1e-4  # s, of integration (thesis 5.2)
+TIME = "t"  # an input of that name is the time
 BLOCK = 8  # terms that may be off, to ask for at once: of a hundred a dozen, and eight in the block of one that is on
 _SOLUTION = ("35/384", "0", "500/1113", "125/192", "-2187/6784", "11/84")
 
@@ -41,14 +43,15 @@ def simulate(
     inputs: Mapping[str, np.ndarray],
     *,
     sample_time: float = 1e-3,
-    step: float = 1e-4,
+    step: float | None = None,
     initial: Mapping[str, float] | None = None,
     channels: Iterable[str] | None = None,
     samples: int | None = None,
 ) -> Recording:
-    """Simulate `plant` with zero-order-hold inputs and fixed Dormand-Prince 5 steps (thesis 5.2: 0.1 ms).
+    """Simulate `plant` with zero-order-hold inputs and fixed Dormand-Prince 5 steps.
 
-    inputs: symbol -> (samples,), each held for `sample_time` s, which must be a whole number of `step` s.
+    inputs: symbol -> (samples,), each held for `sample_time` s, which must be a whole number of `step` s: by default
+    0.1 ms, of a `Simulator` its own. An input t that is left out is the time, in s from the first sample.
     samples: how many, where the plant has no input.
     initial: values of states that do not start as declared.
     channels: symbols to record, default the plant's outputs; inputs are always recorded.
@@ -62,7 +65,9 @@ def simulate(
     >>> round(float(simulate(axis, {"force": np.full(100, 8.0)})["x"][-1]), 6)  # m, after 99 ms
     0.001118
     """
-    held = _inputs(plant, inputs, samples)
+    held = _inputs(plant, _timed(plant, inputs, samples, sample_time), samples)
+    if step is None:
+        step = STEP if plant.outside is None else plant.step
     substeps = round(sample_time / step) if step > 0 else 0
     if substeps < 1 or abs(substeps * step - sample_time) > 1e-9 * sample_time:
         raise InputError(f"plant {plant.name}: step {step} s does not divide the sample time {sample_time} s")
@@ -86,12 +91,12 @@ def simulate(
             states,
             *at,
         )
-    if failed >= 0:
-        state = symbols[int(np.flatnonzero(~np.isfinite(states[failed]))[0])]
-        raise InputError(
-            f"plant {plant.name}: state {state} is not finite at {failed * sample_time:.6g} s; "
-            "check parameters, inputs and initial states, or take a smaller step"
-        )
+        if failed >= 0:
+            state = symbols[int(np.flatnonzero(~np.isfinite(states[failed]))[0])]
+            raise InputError(
+                f"plant {plant.name}: state {state} is not finite at {failed * sample_time:.6g} s; "
+                "check parameters, inputs and initial states, or take a smaller step"
+            )
     signals = {**dict(zip(symbols, states.T.copy(), strict=True)), **dict(zip(plant.inputs, held.T, strict=True))}
     names = [*plant.inputs, *(name for name in channels or plant.outputs if name not in plant.inputs)]
     recorded = {name: np.broadcast_to(v, len(held)).copy() for name, v in plant.values(names, signals).items()}
@@ -149,7 +154,7 @@ class Stepper:
 
     def __init__(self, plant: Plant, sample_time: float = 1e-3):
         self.plant, self.sample_time = plant, sample_time
-        self._restarted = Restarted(plant, sample_time, 1e-4)
+        self._restarted = Restarted(plant, sample_time, STEP)
         self._place = {symbol: i for i, symbol in enumerate(plant.states)}
         self._now = np.array([*plant.initial().values()])
         self._values = np.array([p.value for p in plant.parameters.values()])
@@ -204,6 +209,16 @@ def _rates(plant: Plant) -> np.ndarray:
     return np.array([-1 if s.rate is None else states.index(s.rate) for s in plant.states.values()], dtype=np.int64)
 
 
+def _timed(
+    plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None, sample_time: float
+) -> Mapping[str, np.ndarray]:
+    """The inputs with the time, where the plant has that input and none is given."""
+    if TIME not in plant.inputs or TIME in inputs:
+        return inputs
+    count = samples if not inputs else np.size(next(iter(inputs.values())))
+    return inputs if count is None else {**inputs, TIME: np.arange(count) * sample_time}
+
+
 def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None) -> np.ndarray:
     if set(inputs) != set(plant.inputs):
         raise InputError(f"plant {plant.name}: inputs are {sorted(inputs)}; give {sorted(plant.inputs)}")
@@ -240,8 +255,13 @@ def source(plant: Plant) -> str:
     asked = [f"    _on[{i}] = {condition}" for i, condition in enumerate(blocks)]
     lines += ["@jit", "def asked(_p):", *_taken("_p", plant.parameters), f"    _on = np.empty({len(blocks)}, np.bool_)"]
     lines += [*asked, "    return _on", "", *full, *bare]
-    loop, at = (_RUN, "") if plant.outside is None else (_stepped(plant, plant.outside), ", at")
+    loop, at = (_RUN.format(**_ALONE), "") if plant.outside is None else (_given(plant, plant.outside), ", at")
     return "\n".join(lines) + _BOUNDED + loop + _RESTARTED.format(at=at)
+
+
+def _given(plant: Plant, of: Outside) -> str:
+    """The loop of a plant that a simulator from outside steps, or whose rates it gives."""
+    return f"\n{of.rates}{_RUN.format(**_RATED)}" if isinstance(of, Rated) else _stepped(plant, of)
 
 
 def _stepped(plant: Plant, of: Outside) -> str:
@@ -369,7 +389,7 @@ WEIGHTS = np.array([{_rows()}])
 _RUN = '''
 
 @jit
-def run(x, inputs, parameters, low, high, rate, h, substeps, out):
+def run(x, inputs, parameters, low, high, rate, h, substeps, out{at}):
     """Fill out[sample] with the state at each sample; return the first sample that is not finite, or -1."""
     n = len(x)
     k = np.empty((6, n))
@@ -387,7 +407,7 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out):
             count += 1
     bounded = bounded[:count]
     for sample in range(len(inputs) - 1):
-        for _ in range(substeps):
+        for {substep} in range(substeps):
             for stage in range(6):
                 for j in range(n):
                     move = 0.0
@@ -398,7 +418,7 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out):
                     derivative(y, inputs[sample], parameters, on, k[stage])
                 else:
                     bare(y, inputs[sample], parameters, on, k[stage])
-                hold(y, k[stage], low, high, rate, bounded)
+{rates}                hold(y, k[stage], low, high, rate, bounded)
             for j in range(n):
                 move = 0.0
                 for i in range(6):
@@ -420,6 +440,15 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out):
                 return sample + 1
     return -1
 '''
+_ALONE = {"at": "", "substep": "_", "rates": ""}
+_RATED = {
+    "at": ", at",
+    "substep": "substep",
+    "rates": """\
+                rates(at, y, inputs[sample], (substep + WEIGHTS[stage].sum()) * h, k[stage])
+""",
+}
+"""What the loop has besides where a simulator from outside gives rates."""
 _RESTARTED = '''
 
 @jit
