@@ -46,7 +46,7 @@ def case(plant: str, effect: str, seed: int, folder: Path) -> dict:
     at = conceal(plant, seed, folder / f"{plant}_{effect}_{seed}", effect=effect,
                  kind="one" if effect in hidden.effects else "foreign")  # fmt: skip
     answer, watch = json.loads((at / "sealed.json").read_text()), stopwatch()
-    result = diagnose(rigs.load(at), {}).as_dict()
+    result = diagnose(rigs.load(at), effects={}).as_dict()
     seconds = watch()
     entry = next((e for e in result["effects"] if e["id"] == "unknown"), None)
     where = result["where"][0] if result["where"] else {"equation": "", "depends_on": []}

@@ -2,7 +2,7 @@
 
     network and records -> train -> validate -> compile -> emulate, emit
     files -> Source -> build -> Project -> verify, synthesize, report, compare
-    plant and recording -> simulate, load_rig, diagnose
+    plant or Simulator, and recording -> simulate, load_rig, diagnose
 
 The names of `__all__` are what a program needs. Each is imported when it is first used, so that `import greygate` is
 fast. Their docstrings hold examples that continue one another in the order of `__all__`, after
@@ -48,6 +48,7 @@ _PUBLIC = {  # name -> module: name there, in the order of the examples
     "to_pandas": "greygate.plants.frames:to_pandas",
     "Plant": "greygate.plants.plant:Plant",
     "simulate": "greygate.plants.simulator:simulate",
+    "Simulator": "greygate.plants.python:Simulator",
     "load_rig": "greygate.mismatch.rig:load",
     "diagnose": "greygate.mismatch.diagnose:diagnose",
 }

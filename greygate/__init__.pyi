@@ -20,6 +20,7 @@ from greygate.models.training.record import Record
 from greygate.models.validation import validate
 from greygate.plants.frames import to_pandas
 from greygate.plants.plant import Plant
+from greygate.plants.python import Simulator
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording, read_csv
 from greygate.plants.simulator import simulate
@@ -41,6 +42,7 @@ __all__ = [
     "Project",
     "Record",
     "Recording",
+    "Simulator",
     "Source",
     "build",
     "compare",

@@ -4,10 +4,12 @@ A diagnosis claims an effect only where its evidence is strong and little is lef
 the errors that no effect of the table explains, the verdict is `unexplained`.
 """
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import excited
 from greygate.mismatch.fit import Fit
+from greygate.mismatch.given import rig_of, tried
 from greygate.mismatch.misread import check
 from greygate.mismatch.model import Model
 from greygate.mismatch.noise import Noise
@@ -31,6 +34,8 @@ from greygate.mismatch.search import WITHIN, Hypothesis, Search
 from greygate.mismatch.selection import PART, Found, Selection, shown_noise
 from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.verdict import Verdict
+from greygate.mismatch.words import lines
+from greygate.plants.plant import Plant
 from greygate.plants.recording import run_name
 from greygate.progress import Budget, Progress, silent
 
@@ -46,16 +51,24 @@ BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and
 
 @np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
 def diagnose(
-    rig: Rig,
+    rig: Rig | Plant,
+    recording: Any = None,
+    *,
     effects: Mapping[str, Effect] | None = None,
     progress: Progress = silent,
     budget: Budget | None = None,
+    seconds: float = math.inf,
+    **told: Any,
 ) -> Diagnosis:
-    """Explain the recording `rig.folder`/identify.csv; holdout.csv serves for the report alone.
+    """Explain the recording `rig.folder`/identify.csv; holdout.csv serves for the report alone. `print` what it finds.
 
-    effects: those to be tried, by key; by default all that are known for the rig. budget: when it is over, no further
-    hypothesis is fitted, and the diagnosis names those that were left out. Raises InputError where a recording
-    or the table of effects cannot serve.
+    recording: of a plant in the place of a rig, which a `Simulator` is, too: a Recording, what `read_recording` takes,
+    or a list of such, which are explained together; its channels have the plant's names and units. told: what rig.toml
+    says of a rig, `tolerance` (parameter -> relative), `plus_minus`, `noise_rms` and `resolution` (parameter or channel
+    -> in its unit), `predict`, `window_s`, and `holdout`, further recordings (`given.rig_of`).
+    effects: those to be tried, by key; by default all that are known for the rig. progress: gets a line of text for
+    each thing that begins, such as `print`. seconds, budget: when it is over, no further hypothesis is fitted, and the
+    diagnosis names those that were left out. Raises InputError where a recording or the table of effects cannot serve.
 
     >>> force = 60.0 * np.repeat(np.random.default_rng(2).standard_normal(30), 40)
     >>> real = axis.with_parameters(viscous=500.0)  # the data sheet of `load_rig` says 400, up to 10 % off
@@ -68,17 +81,23 @@ def diagnose(
     ('parameter_error', ['viscous'])
     """
     began = time.perf_counter()
+    budget = budget or Budget(seconds)
+    if isinstance(rig, Plant):
+        rig = rig_of(rig, recording, **told)
+        tried(rig)
+    elif recording is not None or told:
+        raise InputError(f"{rig.folder}: a rig has its recordings and what rig.toml says of them; give these there")
     recording = rig.to_explain()
     effects = table.known(rig, recording) if effects is None else effects
     progress("compiling the plant")
     search = Search(rig, recording, effects)
-    search.budget = budget or search.budget
+    search.budget = budget
     search.effects, not_shown = excited(search.final.model, search.effects)
     offered = {effect.id for effect in search.effects.values()}
     not_shown |= {name: why for name, why in table.unmet(rig, recording).items() if name not in offered}
     progress("calibrating")
     result = _diagnosed(search, progress)
-    result.not_shown = not_shown
+    result.not_shown, result.words = not_shown, lines
     if result.verdict == Verdict.MISSING_PHYSICS and _faults(search, result.best):
         result.verdict = Verdict.RECORDING_FAULT
     if result.verdict == Verdict.CONSISTENT:
@@ -88,8 +107,8 @@ def diagnose(
     result.fits = fits(result, recording)
     if diverging := [c for c, rms in result.fits["identify"].items() if _diverges(rms["corrected"], recording[c])]:
         raise InputError(
-            f"{rig.folder}: the simulation of {', '.join(diverging)} diverges, whatever the parameters; check the "
-            "values and units in rig.toml, or restart it in windows of window_s"
+            f"{rig.title}: the simulation of {', '.join(diverging)} diverges, whatever the parameters; check the "
+            "values and units, or restart it in windows of window_s"
         )
     if result.verdict == Verdict.UNEXPLAINED and len(recording.runs) > 1:
         result.alone = _each_alone(search, effects, progress)
@@ -111,7 +130,8 @@ def _each_alone(search: Search, effects: Mapping[str, Effect], progress: Progres
             continue
         progress(f"asking {file} alone")
         try:
-            found = diagnose(replace(rig, identify=(file,), holdout=()), effects, budget=search.budget).as_dict()
+            one = replace(rig, identify=(file,), holdout=())
+            found = diagnose(one, effects=effects, budget=search.budget).as_dict()
         except InputError:  # too short alone, or a run that diverges
             continue
         out[run_name(file)] = {key: found[key] for key in ("verdict", "effects")}

@@ -1,7 +1,7 @@
 """What a recording says about a plant: the verdict, its grounds, and the file that keeps them (`diagnosis.json`)."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -39,7 +39,7 @@ DIGITS = 4  # after the point, of a confidence
 SAID = ("formula", "as_well", "curve")  # of a place, besides what is said of each
 
 
-@dataclass
+@dataclass(repr=False)
 class Diagnosis:
     """Everything that was found; `as_dict` gives the content of diagnosis.json.
 
@@ -50,7 +50,7 @@ class Diagnosis:
     the share of the calibrated plant's squared error that it takes. only_with: by key, what it explains nothing
     without, as that without it. not_shown: key of an effect that the recording cannot show, and that was therefore not
     tried -> why. not_larger_than: of a consistent recording, what it rules out. alone: where several recordings are
-    unexplained together, what each says alone (verdict, effects).
+    unexplained together, what each says alone (verdict, effects). words: the lines that are printed of it.
     """
 
     rig: Rig
@@ -74,6 +74,13 @@ class Diagnosis:
     not_shown: dict[str, str] = field(default_factory=dict)
     not_larger_than: list[dict] = field(default_factory=list)
     alone: dict[str, dict] = field(default_factory=dict)
+    words: Callable[["Diagnosis"], Iterable[str]] = lambda found: (f"<Diagnosis {found.rig.title}: {found.verdict}>",)
+
+    def __str__(self) -> str:
+        """What `greygate diagnose` prints of it."""
+        return "\n".join(self.words(self))
+
+    __repr__ = __str__  # what a notebook shows
 
     # -- the file ----------------------------------------------------------------------------------------------------
 

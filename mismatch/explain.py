@@ -149,7 +149,7 @@ class Explained:
         effects = table_of(own, rig, recording)
         check(rig, recording, effects)
         try:
-            result = diagnose(rig, effects, progress, budget)
+            result = diagnose(rig, effects=effects, progress=progress, budget=budget)
         except np.linalg.LinAlgError as error:
             raise InputError(
                 f"{folder}: the fit fails numerically ({error}); check the values and units in rig.toml, "

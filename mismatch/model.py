@@ -129,6 +129,8 @@ class Model:
     @property
     def longer_steps(self) -> list[int]:
         """How many steps an unchanging input may be integrated in, fewer than now, in rising order."""
+        if self.plant.outside and self.plant.outside.fixed:
+            return []
         steps = self._compiled.substeps
         return [n for n in range(1, steps) if steps % n == 0]
 

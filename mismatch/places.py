@@ -69,7 +69,15 @@ def unit_of_place(plant: Plant, where: str) -> units.Powers | None:
     storage, state = units.of(place.storage, known), units.powers(plant.unit(place.state))
     if storage is None or state is None:
         return None
-    return units.times(units.times(storage, state), {"s": Fraction(1)}, -1)
+    return _as_force(units.times(units.times(storage, state), {"s": Fraction(1)}, -1))
+
+
+def _as_force(unit: units.Powers) -> units.Powers:
+    """N for kg m/s^2, N m for kg m^2/s^2, whose angle counts nothing."""
+    one, plain = Fraction(1), {symbol: power for symbol, power in unit.items() if symbol != "rad"}
+    if unit == {"kg": one, "m": one, "s": -2 * one}:
+        return {"N": one}
+    return {"N": one, "m": one} if plain == {"kg": one, "m": 2 * one, "s": -2 * one} else unit
 
 
 def _sum(plant: Plant, where: str) -> Equation | Definition:

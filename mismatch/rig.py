@@ -84,7 +84,7 @@ class Rig:
     anew: parameters that have another value in each recording. settle: how many first samples of holdout.csv serve
     only to fit its initial states and the parameters in `anew`; the error there does not count.
     identify, holdout: the files to be explained, and to be held against. own: name of a recording -> what differs
-    there.
+    there. given: those that are no files, by the names that stand in identify and holdout.
     """
 
     plant: Plant
@@ -99,6 +99,12 @@ class Rig:
     identify: tuple[str, ...] = (IDENTIFY,)
     holdout: tuple[str, ...] = (HOLDOUT,)
     own: Mapping[str, Own] = field(default_factory=dict)
+    given: Mapping[str, Recording] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """What a message calls it."""
+        return f"plant {self.plant.name}" if self.given else str(self.folder)
 
     @property
     def stated(self) -> bool:
@@ -179,9 +185,9 @@ class Rig:
         Raises InputError where one cannot be read, or is too short to be explained.
         """
         least = FEWEST if len(self.identify) > 1 else SHORTEST
-        found = [self.timed(self.folder / file, least)[0] for file in self.identify]
+        found = [self._recorded(file, least) for file in self.identify]
         if (samples := sum(r.samples for r in found)) < SHORTEST:
-            raise InputError(f"{self.folder}: {samples} samples in all recordings; record at least {SHORTEST}")
+            raise InputError(f"{self.title}: {samples} samples in all recordings; record at least {SHORTEST}")
         return Runs.of(found) if self.several else found[0]
 
     def held_out(self) -> Recording | None:
@@ -189,15 +195,28 @@ class Rig:
 
         Raises InputError where one is no longer than the rig settles.
         """
-        if not self.holdout or (self.holdout == (HOLDOUT,) and not (self.folder / HOLDOUT).exists()):
+        there = HOLDOUT in self.given or (self.folder / HOLDOUT).exists()
+        if not self.holdout or (self.holdout == (HOLDOUT,) and not there):
             return None
-        found = [self.recording(self.folder / file) for file in self.holdout]
+        found = [self._recorded(file) for file in self.holdout]
         for recording in found:
             if recording.samples <= self.settle:
                 problem = f"{recording.samples} samples, of which settle_s leaves none"
                 raise InputError(f"{recording.source}: {problem}; record more, or settle for less")
         alike = not self.several and len(found) == 1 and found[0].name not in self.own
         return found[0] if alike else Runs.of(found)
+
+    def _recorded(self, file: str, least: int = READABLE) -> Recording:
+        if file not in self.given:
+            return self.timed(self.folder / file, least)[0]
+        self._long_enough(self.given[file].samples, least, self.given[file].source)
+        return self.given[file]
+
+    def _long_enough(self, samples: int, least: int, where: str) -> None:
+        shortest = max(least, self.window or 0)
+        if samples < shortest:
+            wish = f"record at least {shortest} samples, {shortest * self.dt:g} s"
+            raise InputError(f"{where}: {samples} samples, {samples * self.dt:g} s; {wish}")
 
     def timed(self, path: Path | str, least: int = READABLE) -> tuple[Recording, list[str]]:
         """The recording of `least` samples or more, and the column `t` as the file writes it."""
@@ -209,10 +228,7 @@ class Rig:
             raise InputError(f"{path}: no column {', '.join(missing)}; rig.toml names these channels")
         if unknown := [name for name in header[1:] if name not in self.channels]:
             raise InputError(f"{path}: column {', '.join(unknown)} is no channel of rig.toml; declare or drop it")
-        samples, shortest = len(table.cells), max(least, self.window or 0)
-        if samples < shortest:
-            wish = f"record at least {shortest} samples, {shortest * self.dt:g} s"
-            raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; {wish}")
+        self._long_enough(len(table.cells), least, str(path))
         channels = {name: table.values[:, header.index(name)] for name in self.channels}
         units = {name: channel.unit for name, channel in self.channels.items()}
         check_sizes(channels, str(path))
@@ -286,10 +302,17 @@ def load(folder: Path | str) -> Rig:
     folder = Path(folder)
     path = folder / "rig.toml"
     found = table(read_toml(path, "give the folder of a rig"), f"{path}:", NEEDED, OPTIONAL, others=True)
-    plant = _plant(path, found["plant"], found["channels"])
+    return of(_plant(path, found["plant"], found["channels"]), found, folder, str(path))
+
+
+def of(plant: Plant, found: Mapping, folder: Path, source: str, given: Mapping[str, Recording] | None = None) -> Rig:
+    """The rig of a plant and of what rig.toml says besides. given: as `Rig.given`.
+
+    Raises InputError naming `source` and the entry.
+    """
     for check in (_wrong_times, _wrong_parameters, _wrong_channels, _wrong_predictions, _wrong_recordings):
         for where, problem in check(found, plant):
-            raise InputError(f"{path}: {where}: {problem}")
+            raise InputError(f"{source}: {where}: {problem}")
     dt, window = found["sample_time_s"], found.get("window_s")
     tolerance, absolute = (found.get(key, {}) for key in UNSURE)
     own = {symbol: plant.parameters[symbol].value for symbol in (plant.outside.parameters if plant.outside else ())}
@@ -312,6 +335,7 @@ def load(folder: Path | str) -> Rig:
         tuple(found.get("identify", (IDENTIFY,))),
         tuple(found.get("holdout", (HOLDOUT,))),
         {name: Own(**entry) for name, entry in found.get("recordings", {}).items()},
+        given or {},
     )
     return rig if rig.stated or rig.window is None else _heard(rig)
 

@@ -14,7 +14,7 @@ from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.places import rates
 from greygate.mismatch.rig import Rig
 from greygate.plants.expressions import names
-from greygate.plants.plant import Values
+from greygate.plants.plant import Equation, Values
 from greygate.plants.recording import Recording
 
 NOISY = 3.0  # times the RMS of its sensor: a signal that stays within does not move
@@ -111,11 +111,27 @@ class Seen:
         return float(np.sqrt(np.mean(found**2))) if len(found) else 0.0
 
     def largest(self, place: str) -> float:
-        """RMS of the largest term of an equation or a definition."""
+        """RMS of the largest term of an equation or a definition; of the whole balance where it has no term.
+
+        That is one that a simulator from outside computes.
+        """
         plant = self.rig.plant
         table = plant.equations.get(place) or plant.definitions[place]
+        if isinstance(table, Equation) and not table.terms:
+            return self._balance(table)
         sizes = [self.size(text) for text in table.terms.values()]
         return max(sizes, default=0.0)
+
+    def _balance(self, equation: Equation) -> float:
+        """RMS of what the data sheet's plant makes of its left side."""
+        sizes = []
+        for one in self.each:
+            with np.errstate(over="ignore", invalid="ignore"):
+                states, _ = one.model.states(one.model.values)
+                change = np.diff(states[:, list(one.rig.plant.states).index(equation.state)]) / one.rig.dt
+            moved = change[np.isfinite(change)]
+            sizes.append(float(np.mean(np.square(moved))) if len(moved) else 0.0)
+        return float(np.sqrt(np.mean(sizes))) * self.size(equation.storage)
 
     def _swings(self, channel: str, line: float, strength: float, sure: float) -> bool:
         """Whether the data sheet's machine, run free, has a line there, too, of such a strength or nearly.

@@ -80,7 +80,7 @@ def axis(tmp_path_factory):
         x = simulate(real, {"force": force}, sample_time=5e-3, step=1e-3)["x"] + 2e-6 * rng.standard_normal(samples)
         columns = np.column_stack([np.arange(samples) * 5e-3, force, x])
         np.savetxt(folder / f"{name}.csv", columns, delimiter=",", header="t,force,x", comments="", fmt="%.9g")
-    return diagnose(rig.load(folder), effects.read(folder / "mine.toml"))
+    return diagnose(rig.load(folder), effects=effects.read(folder / "mine.toml"))
 
 
 def charts(page: str) -> list[str]:

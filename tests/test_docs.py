@@ -1,6 +1,6 @@
 """What the pages say is run."""
 
-import importlib
+import importlib.util
 import json
 import os
 import re
@@ -36,6 +36,14 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+def need(page: str) -> None:
+    """Skip a page that imports a package that is not installed."""
+    code = "\n".join(text for kind, _, text in BLOCKS[page] if kind == "python")
+    for module in re.findall(r"^(?:import|from) (\w+)", code, re.M):
+        if importlib.util.find_spec(module) is None:
+            pytest.skip(f"{page} needs {module}, which is not installed")
+
+
 def run(command: str) -> None:
     """A shell block."""
     done = subprocess.run(["bash", "-euc", command], capture_output=True, text=True)
@@ -62,6 +70,7 @@ def test_the_python_and_the_commands_in_a_page_run(page, folder):
 @pytest.mark.parametrize("page", NOTEBOOKS)
 def test_the_notebook_of_a_tutorial_runs(page, folder):
     nbclient = pytest.importorskip("nbclient")
+    need(page)
     notebook = notebooks.notebook(page.removesuffix(".md"))
     blocks = [text.rstrip() for _, _, text in BLOCKS[page]]
     code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]

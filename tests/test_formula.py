@@ -123,7 +123,7 @@ def finder(rig) -> Finder:
 
 
 def test_a_drop_at_the_brushes_comes_back_with_its_knee_its_size_and_its_unit(hidden):
-    result = diagnose(hidden("electric", "-0.35 * tanh(i / 0.1)"), {})
+    result = diagnose(hidden("electric", "-0.35 * tanh(i / 0.1)"), effects={})
     found = result.as_dict()
     (place,) = found["where"]
     assert (place["equation"], place["depends_on"]) == ("electric", ["i"])
@@ -191,7 +191,7 @@ def test_a_signal_is_told_from_one_that_moves_like_it(concealed):
 
 def test_of_two_signals_that_nothing_tells_apart_the_stored_one_is_named_and_the_other_said(concealed):
     """A leak from v_1 is one from v_2 with another capacitor."""
-    (place,) = diagnose(concealed("electrical", "leak", 32), {}).as_dict()["where"]
+    (place,) = diagnose(concealed("electrical", "leak", 32), effects={}).as_dict()["where"]
     assert (place["equation"], place["depends_on"], place["as_well"]) == ("second", ["v_2"], ["v_1"])
     ((said, _),) = where({"where": [place]})
     assert said == "second, depends on v_2 (v_1: does as well)"
@@ -225,7 +225,7 @@ def test_a_speed_is_of_the_run_where_smoothing_the_recording_would_take_its_moti
     smooth = forced.model.smooth_rate("z_body") - forced.model.smooth_rate("z_wheel")
     speed = forced.signals["(v_body - v_wheel)"]
     assert np.std(speed - smooth) > 0.3 * np.std(speed)
-    found = diagnose(rig, {}).as_dict()
+    found = diagnose(rig, effects={}).as_dict()
     assert [(place["equation"], place["depends_on"]) for place in found["where"]] == [
         ("body", ["v_body", "v_wheel"]),
         ("wheel", ["v_body", "v_wheel"]),
@@ -250,7 +250,7 @@ def test_a_speed_is_smoothed_where_the_run_leaves_the_recording(tmp_path):
 
 def test_a_small_coefficient_is_fitted_in_steps_of_its_own_size(concealed):
     """A damping of 5e-7 N m s^2: a run with 1e-3 of one N m s^2 diverges."""
-    found = diagnose(concealed("motor", "square_damping", 32), {}).as_dict()
+    found = diagnose(concealed("motor", "square_damping", 32), effects={}).as_dict()
     (entry,) = found["effects"]
     (size,) = (p["value"] for p in entry["parameters"].values())
     assert (entry["equations"], size) == (["motion"], pytest.approx(-4.99e-7, rel=0.02))
@@ -318,7 +318,7 @@ def test_an_accepted_formula_is_named_as_an_effect_of_the_rigs_own_table(hidden,
     rig = hidden("electric", "-0.35 * tanh(i / 0.1)")
     code, _, err = greygate("diagnose", rig.folder, "--accept")
     assert (code, "has the effect own_electric now: -0.3" in err) == (0, True)
-    result = diagnose(rigs.load(rig.folder), read(rig.folder / "effects.toml"))
+    result = diagnose(rigs.load(rig.folder), effects=read(rig.folder / "effects.toml"))
     assert (str(result.verdict), [effect["id"] for effect in result.as_dict()["effects"]]) == (
         "missing_physics",
         ["own_electric"],
@@ -337,7 +337,7 @@ def test_an_input_of_the_plant_is_not_taken_for_one_of_the_search(hidden):
 
 def test_a_formula_that_is_refused_is_not_shown(hidden, monkeypatch):
     monkeypatch.setattr("greygate.mismatch.diagnose._no_term", lambda *_: "it does harm elsewhere")
-    found = diagnose(hidden("electric", "-0.5"), {}).as_dict()
+    found = diagnose(hidden("electric", "-0.5"), effects={}).as_dict()
     assert found["refused"][-1] == "no term is fitted: it does harm elsewhere"
     assert ("formula" in found["where"][0], found["effects"]) == (False, [])
 

@@ -297,7 +297,7 @@ def test_dry_friction_is_named_where_only_speed_is_measured(tmp_path):
     rig = made(tmp_path / "motor", "motor", change=real)
     effects = table.general(rig, recording(rig))
     some = ("dry_friction", "dry_friction_static", "input_dead_zone", "input_offset", "square_damping", "sensor_offset")
-    found = diagnose(rig, {key: effects[key] for key in some}).as_dict()
+    found = diagnose(rig, effects={key: effects[key] for key in some}).as_dict()
     assert [e["id"] for e in found["effects"]] == ["dry_friction"]
     low, high = found["effects"][0]["parameters"]["f_omega"]["ci95"]
     assert 0.04 < low < 0.05 < high < 0.06
@@ -345,7 +345,7 @@ def test_a_wall_that_stores_heat_is_named_and_begins_as_warm_as_the_room(tmp_pat
     )
     rig = load(tmp_path)
     known = table.known(rig, rig.to_explain())
-    found = diagnose(rig, {key: known[key] for key in ("hidden_storage", "leak", "input_lag_heat")}).as_dict()
+    found = diagnose(rig, effects={key: known[key] for key in ("hidden_storage", "leak", "input_lag_heat")}).as_dict()
     assert [effect["id"] for effect in found["effects"]] == ["hidden_storage"]
     flow, time = found["effects"][0]["parameters"].values()
     assert (flow["unit"], time["unit"]) == ("W/degC", "s")
@@ -384,7 +384,7 @@ def test_a_fault_of_the_recording_is_named_with_its_size(fault, tmp_path):
     change, name, size = FAULTS[fault]
     t = np.arange(1200) * DT
     rig = made(tmp_path / "motor", "motor", after=lambda c: c | {"omega": change(c["omega"], t)}, noise=0.5)
-    found = diagnose(rig, table.general(rig, recording(rig))).as_dict()
+    found = diagnose(rig, effects=table.general(rig, recording(rig))).as_dict()
     assert fault in [e["id"] for e in found["effects"]], found["effects"]
     value = next(e for e in found["effects"] if e["id"] == fault)["parameters"][name]["value"]
     assert value == pytest.approx(size, rel=0.1)

@@ -556,7 +556,7 @@ def test_no_wrong_name_is_sure_and_what_is_left_has_a_place(name, tmp_path):
     recording = rig.recording(rig.folder / "identify.csv")
     known = table.known(rig, recording)
     every = table.known(rig, recording, every=True)
-    result = diagnose(rig, {key: every[key] for key in wrong})
+    result = diagnose(rig, effects={key: every[key] for key in wrong})
     found = json.loads(json.dumps(result.as_dict()))
     assert found["schema"] == "diagnosis/2"
     assert found["verdict"] in ("unexplained", "partly_explained")

@@ -70,7 +70,7 @@ def test_noise_is_learnt_and_forgets_within_its_share_of_the_recording(tanks):
 
 def test_overflow_of_the_tanks_is_not_claimed_where_a_sensor_offset_is_the_alternative(tanks):
     known = table.known(tanks, tanks.recording(tanks.folder / "identify.csv"))
-    found = diagnose(tanks, {key: known[key] for key in ("upper_overflow", "sensor_offset")}).as_dict()
+    found = diagnose(tanks, effects={key: known[key] for key in ("upper_overflow", "sensor_offset")}).as_dict()
     assert found["verdict"] == "unexplained"  # the lower tank spills as well
     assert any("upper_overflow is not claimed" in why for why in found["refused"])
     held = found["fit"]["holdout"]["y"]

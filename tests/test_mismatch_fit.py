@@ -332,7 +332,7 @@ def test_what_no_effect_of_the_table_has_is_closed_in_its_equation_on_its_variab
     """A spring, on a plant of one's own, with an empty table."""
     recorded(folder, 0, 2000, stiffness=10.0)
     (folder / "rig.toml").write_text(RIG)
-    found = diagnose(rig.load(folder), {})
+    found = diagnose(rig.load(folder), effects={})
     assert found.verdict == "unexplained"
     content = found.as_dict()
     (place,), (entry,) = content["where"], content["effects"]
@@ -350,7 +350,7 @@ def test_a_closure_keeps_only_functions_of_which_it_is_sure(folder):
     """A spring so stiff that the straight line that chooses them asks for more."""
     recorded(folder, 0, 2000)
     (folder / "rig.toml").write_text(RIG)
-    (entry,) = diagnose(rig.load(folder), {}).as_dict()["effects"]
+    (entry,) = diagnose(rig.load(folder), effects={}).as_dict()["effects"]
     for p in entry["parameters"].values():
         low, high = p["ci95"]
         assert abs(p["value"]) > 5 * (high - low) / 3.92

@@ -104,7 +104,7 @@ def one_shows(tmp_path_factory):
     """In two recordings the axis hardly moves, so that a spring hardly pulls."""
     size = {"run1": 0.5, "run2": 0.5, "run3": 60.0, "run4": 60.0}
     rig = written(tmp_path_factory.mktemp("one"), THREE, 2e-4, spring=20.0, size=size)
-    return diagnose(rig, few(rig))
+    return diagnose(rig, effects=few(rig))
 
 
 def test_an_effect_that_one_recording_shows_is_said_to_be_so(one_shows):
@@ -129,12 +129,12 @@ def test_what_one_of_three_machines_has_is_told_of_that_one(tmp_path):
     """The spring was hung in for one recording alone: together they are unexplained, alone that one is not."""
     spring = {"run1": 0.0, "run2": 0.0, "run3": 60.0, "run4": 0.0}
     rig = written(tmp_path, THREE, 2e-4, spring=spring)
-    found = diagnose(rig, few(rig)).as_dict()
+    found = diagnose(rig, effects=few(rig)).as_dict()
     assert found["verdict"] == "unexplained"
     alone = {name: entry["alone"] for name, entry in found["recordings"].items()}
     assert [alone[name]["verdict"] for name in alone] == ["consistent", "consistent", "missing_physics"]
     assert [effect["id"] for effect in alone["run3"]["effects"]] == ["spring"]
-    late = diagnose(rig, few(rig), budget=Budget(0.0)).as_dict()
+    late = diagnose(rig, effects=few(rig), budget=Budget(0.0)).as_dict()
     assert {"run1.csv alone", "run2.csv alone", "run3.csv alone"} <= set(late["not_tried"])
     assert not any("alone" in entry for entry in late.get("recordings", {}).values())
 
@@ -151,7 +151,7 @@ def loaded(tmp_path_factory):
     """A payload that the data sheet knows to 10 % in run2, and exactly in the held-out run4."""
     own = THREE + "\nrecordings.run2 = { parameters = { mass = 25.0 }, tolerance = { mass = 0.1 } }" + OTHER
     rig = written(tmp_path_factory.mktemp("loaded"), own, 2e-5, spring=20.0, mass=MASSES)
-    return diagnose(rig, few(rig))
+    return diagnose(rig, effects=few(rig))
 
 
 def test_a_payload_of_its_own_is_fitted_in_its_recording_alone(loaded):
@@ -281,7 +281,7 @@ def test_one_recording_by_name_says_what_identify_csv_says(tmp_path):
     two = written(tmp_path / "b", "", 2e-5, ["run1", "run2"], spring=20.0)
     for old, new in (("run1", "identify"), ("run2", "holdout")):
         (two.folder / f"{old}.csv").rename(two.folder / f"{new}.csv")
-    found = [diagnose(rig, few(rig)).as_dict() for rig in (one, two)]
+    found = [diagnose(rig, effects=few(rig)).as_dict() for rig in (one, two)]
     assert {**found[0], "seconds": 0} == {**found[1], "seconds": 0}
     assert not {"recordings", "shown_by"} & {*found[0], *found[0]["effects"][0]}
     assert not isinstance(two.to_explain(), Runs)
@@ -338,7 +338,7 @@ def test_uneven_time_is_made_even_and_said(tmp_path):
     made = rig.recording(rig.folder / "run2.csv")
     assert made.history[0].startswith("time steps of 2.5 to 7.5 ms, resampled to 5 ms; between two readings x is unc")
     assert np.sqrt(np.mean((made["x"] - true[: made.samples]) ** 2)) < 3e-4  # of the noise a straight line takes a part
-    found = diagnose(rig, few(rig)).as_dict()
+    found = diagnose(rig, effects=few(rig)).as_dict()
     assert [effect["id"] for effect in found["effects"]] == ["spring"]
     assert found["recordings"] == {"run2": {"resampled": made.history[0]}}
 
