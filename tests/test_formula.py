@@ -353,7 +353,7 @@ def test_a_run_that_begins_elsewhere_than_the_plant_says_begins_as_recorded(tmp_
         np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header="t,u,x", comments="")
     rig = rigs.load(tmp_path)
     first, second = (Model(rig, rig.recording(tmp_path / f"{name}.csv"), {}) for name in ("identify", "holdout"))
-    assert (first.begins, second.begins) == ([], ["x", "v"])
+    assert (list(first.begins.values()), list(second.begins.values())) == ([], ["x", "v"])
     predicted, counts = by_rule(second, {}, skip=20)
     assert np.abs(predicted - second.target)[counts].max() < 1e-3 * np.ptp(x)
     place, speed = second.starts(second.values, second.inputs)[0]
