@@ -5,7 +5,7 @@ of hypotheses, and it must also predict blocks of the recording that were held o
 """
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -50,7 +50,8 @@ class ColouredSelection(Selection):
     # -- what a diagnosis asks ---------------------------------------------------------------------------------------
 
     def searched(self) -> Found:
-        best, fit = self.backward(*self.forward(Hypothesis(), self.plain, self.plain))
+        best, fit = self.forward(Hypothesis(), self.plain, self.plain)
+        best, fit = self.backward(*self.among_kin(best, fit))
         self._beside(best, fit)
         return Found(best, fit, fit, self)
 
@@ -188,28 +189,37 @@ class ColouredSelection(Selection):
         return any(_foretells(*both, exact) for exact in (False, True) for both in (runs, (current, fit)))
 
     def exchanged(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
-        """The same with earlier effects replaced by others that do better now that the last one is there.
+        """The same with earlier effects replaced by others that do better now that the last one is there."""
+        for drop in best.effects[:-1]:
+            best, current = self._replaced(best, current, drop, lambda plain, rare: plain)
+        return best, current
 
-        And with any replaced by a rare one that acts where it acts, such as a late channel by its sensor's lag.
-        """
+    def among_kin(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
+        """The same with any replaced by a rare one that acts where it acts, as a late channel by its sensor's lag."""
         for drop in best.effects:
-            kin = self._kin(drop)
-            if not kin and drop == best.effects[-1]:
+            kin = set(self._kin(drop))
+            if kin:
+                best, current = self._replaced(
+                    best, current, drop, lambda plain, rare, kin=kin: [s for s in rare if kin & {*s.hypothesis.effects}]
+                )
+        return best, current
+
+    def _replaced(
+        self, best: Hypothesis, current: Fit, drop: str, of: Callable[..., list[Score]]
+    ) -> tuple[Hypothesis, Fit]:
+        """The same with the effect `drop` replaced by what does better, `of` the promising and the rare ones."""
+        less = best.without(drop)
+        without = self.fits.get(less) or self.search.fit(current.likelihood, less, current.values)
+        self.fits[less] = without
+        others = [s for s in of(*self.promising(without, less, EXCHANGED)) if s.hypothesis.effects]
+        others = [s for s in others if less.plus(s.hypothesis) not in self.fits]
+        for hypothesis, rough in self._rough(less, without, others):
+            here = self.run(best, current)
+            if set(hypothesis.effects) == set(best.effects) or rough.cost + _price(rough, here) > here.cost:
                 continue
-            less = best.without(drop)
-            without = self.fits.get(less) or self.search.fit(current.likelihood, less, current.values)
-            self.fits[less] = without
-            plain, rare = self.promising(without, less, EXCHANGED)
-            others = [s for s in (plain if drop != best.effects[-1] else []) if s.hypothesis.effects]
-            others += [s for s in rare if set(s.hypothesis.effects) & set(kin)]
-            others = [s for s in others if less.plus(s.hypothesis) not in self.fits]
-            for hypothesis, rough in self._rough(less, without, others):
-                here = self.run(best, current)
-                if set(hypothesis.effects) == set(best.effects) or rough.cost + _price(rough, here) > here.cost:
-                    continue
-                other = self.fits[hypothesis] = self.fitted(without, hypothesis, rough.values)
-                if other.cost + _price(other, current) < current.cost:
-                    best, current = hypothesis, other
+            other = self.fits[hypothesis] = self.fitted(without, hypothesis, rough.values)
+            if other.cost + _price(other, current) < current.cost:
+                best, current = hypothesis, other
         return best, current
 
     def _kin(self, key: str) -> list[str]:
