@@ -62,7 +62,7 @@ def export_fmu(
 
 def export_modelica(source: Path | str, out: Path | str, diagnosis: Mapping | None = None) -> str:
     """Write the equations of a rig's plant, as a diagnosis corrects it, or of a plant's TOML file; the model's name."""
-    chosen = _plant(Path(source), diagnosis)
+    chosen = _written(_plant(Path(source), diagnosis))
     with replacing(out) as new:
         new.write_text(modelica(chosen, _told(source, diagnosis)), encoding="utf-8")
     return chosen.name
@@ -70,7 +70,7 @@ def export_modelica(source: Path | str, out: Path | str, diagnosis: Mapping | No
 
 def export_latex(source: Path | str, out: Path | str, diagnosis: Mapping | None = None) -> str:
     """Write the same equations in LaTeX, for an `align` environment; the plant's name. Needs sympy."""
-    chosen = _plant(Path(source), diagnosis)
+    chosen = _written(_plant(Path(source), diagnosis))
     text = latex(chosen)
     with replacing(out) as new:
         new.write_text(text + "\n", encoding="utf-8")
@@ -86,9 +86,9 @@ def export_mjcf(
     MJCF has no element for.
     """
     chosen = _plant(Path(source), diagnosis)
-    if chosen.outside is not None:
+    if isinstance(chosen.outside, mjcf_model.Simulated):
         return _outside(Path(source), Path(out), chosen, names, _told(source, diagnosis))
-    found = joints(chosen, names, None if diagnosis is None else _plant(Path(source), None))
+    found = joints(_written(chosen), names, None if diagnosis is None else _plant(Path(source), None))
     with replacing(out) as new:
         new.write_text(mjcf(found, _told(source, diagnosis)), encoding="utf-8")
     return found
@@ -118,6 +118,14 @@ def _joint(plant: Plant, made: Corrected, place: str, equation: Equation) -> Joi
     carried = {kind: [f"{kind}_{name}"] for kind in kinds if f"{kind}_{name}" in made.changed}
     left = [path.partition(".")[2] for path in made.added if path.partition(".")[0] == place]
     return Joint(equation.state, name, **sizes, carried=carried, left=left)
+
+
+def _written(plant: Plant) -> Plant:
+    """The plant, if its equations are written down. Raises InputError where a model from outside computes them."""
+    if plant.outside is not None:
+        raise InputError(f"plant {plant.name}: a model computes it, which has no equations here; `greygate export "
+                         "fmu` or `export mjcf` writes that model corrected")  # fmt: skip
+    return plant
 
 
 def _told(source: Path | str, diagnosis: Mapping | None) -> str:

@@ -24,7 +24,7 @@ from greygate.version import __version__
 VERSIONS = ("3.0", "2.0")
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off")
-LINKED = ("-lm",)
+LINKED = ("-lm", "-ldl")
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: the FMU is a function of the model
 PLATFORMS = {
     "x86_64": ("x86_64", "64"),
@@ -45,7 +45,7 @@ def write(model: Model, path: Path | str, version: str = VERSIONS[0]) -> dict[st
     number = version[0]
     own = files("greygate.export") / "fmi"
     sources = dict(model.sources)
-    for name in ("instance.h", f"fmi{number}.c"):
+    for name in ("instance.h", f"fmi{number}.c", *(["inner.h"] if model.resources else [])):
         sources[name] = (own / name).read_text(encoding="utf-8")
     token = _token(model, sources, version)
     sources["model.h"] = model.header(token)
@@ -56,6 +56,7 @@ def write(model: Model, path: Path | str, version: str = VERSIONS[0]) -> dict[st
         held["sources/buildDescription.xml"] = _xml(_build(model, compiled))
     held |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
     held[where] = library
+    held |= {f"resources/{name}": content for name, content in model.resources.items()}
     with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, content in held.items():
             about = zipfile.ZipInfo(name, EPOCH)
@@ -75,7 +76,8 @@ def write(model: Model, path: Path | str, version: str = VERSIONS[0]) -> dict[st
 
 def _token(model: Model, sources: Mapping[str, str], version: str) -> str:
     """The token of a model, in the form of a GUID: other sources, units or values, another token."""
-    text = repr((version, model.name, sorted(sources.items()), model.variables, model.period))
+    inner = [(name, hashlib.sha256(content).hexdigest()) for name, content in sorted(model.resources.items())]
+    text = repr((version, model.name, sorted(sources.items()), model.variables, model.period, *inner))
     digest = hashlib.sha256(text.encode()).hexdigest()
     return "{" + "-".join((digest[:8], digest[8:12], digest[12:16], digest[16:20], digest[20:32])) + "}"
 
@@ -168,8 +170,8 @@ def _description(model: Model, token: str, compiled: list[str], newer: bool) -> 
         "modelIdentifier": model.name,
         "canHandleVariableCommunicationStepSize": "true",
         **({"fixedInternalStepSize": repr(model.period)} if newer else {}),
-        f"canGetAndSetFMU{state}": "true",
-        f"canSerializeFMU{state}": "true",
+        f"canGetAndSetFMU{state}": "false" if model.resources else "true",
+        f"canSerializeFMU{state}": "false" if model.resources else "true",
     }
     simulated = ET.SubElement(root, "CoSimulation", abilities)
     if not newer:
@@ -206,5 +208,6 @@ def _build(model: Model, compiled: list[str]) -> ET.Element:
     sources = ET.SubElement(configuration, "SourceFileSet", language="C99")
     for name in compiled:
         ET.SubElement(sources, "SourceFile", name=name)
-    ET.SubElement(configuration, "Library", name="m")
+    for name in ("m", "dl") if model.resources else ("m",):
+        ET.SubElement(configuration, "Library", name=name)
     return root

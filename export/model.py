@@ -1,7 +1,7 @@
 """A model that an FMU holds, in C: variables that are doubles, and three functions, which `fmi/instance.h` calls."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from greygate.compiler.verilog import render
 
@@ -22,7 +22,8 @@ class Model:
 
     name: a C identifier. period: s between two steps of its own. discrete: whether its signals change only there.
     seen: computed quantities that are no outputs. state: the lines in C that declare what it keeps from step to step.
-    sources: file name -> C, in which `model_initialize`, `model_outputs` and `model_advance` are defined.
+    sources: file name -> C, in which `model_initialize`, `model_outputs` and `model_advance` are defined. resources:
+    place -> file of another FMU that it holds; then `model_end` is defined, too.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Model:
     state: tuple[str, ...]
     includes: tuple[str, ...]
     sources: Mapping[str, str]
+    resources: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from greygate.compiler.verilog import render
 from greygate.errors import InputError
 from greygate.export.model import Model, Variable
+from greygate.export.wrapped import wrapped
 from greygate.plants.expressions import Call, Name, Node, Number, Operation, Signed, names, parse
 from greygate.plants.plant import Equation, Plant
 from greygate.plants.simulator import coupled, weights
@@ -28,6 +29,7 @@ def model(plant: Plant) -> Model:
     outputs = tuple(Variable(s, plant.unit(s)) for s in plant.outputs)
     seen = tuple(Variable(s, state.unit) for s, state in plant.states.items() if s not in plant.outputs)
     n = len(initial)
+    within = wrapped(plant) if plant.outside is not None else None
     made = Model(
         name=plant.name,
         meaning=f"plant {plant.name}",
@@ -37,14 +39,16 @@ def model(plant: Plant) -> Model:
         parameters=parameters,
         outputs=outputs,
         seen=seen,
-        state=(f"double x[{n}];", f"double low[{n}];", f"double high[{n}];"),
+        state=(f"double x[{n}];", f"double low[{n}];", f"double high[{n}];", *(within.state if within else ())),
         includes=(),
         sources={},
+        resources=within.files if within else {},
     )
-    return replace(made, sources={"model.c": _source(plant, made)})
+    return replace(made, sources={"model.c": _source(plant, made, within.source if within else "")})
 
 
-def _source(plant: Plant, made: Model) -> str:
+def _source(plant: Plant, made: Model, inner: str) -> str:
+    plant = plant if plant.outside is None else plant.without(*plant.outside.own)
     states = list(plant.states)
     place = {v.name: i for i, v in enumerate(made.variables)}
     fixed = {v.name: place[v.name] for v in made.parameters}
@@ -70,6 +74,7 @@ def _source(plant: Plant, made: Model) -> str:
         "moving": "\n".join(
             [*_quantities(given), *_states(states, "x"), *_defined(plant, used), *_rates(plant, states)]
         ),
+        "inner": inner,
         "rates": f"{{{', '.join(map(str, rates))}}}",
     }
     return render("plant.c", context, "greygate.export")

@@ -101,7 +101,7 @@ def started(
         try:
             yield process
         finally:
-            _kill(process)
+            kill(process)
             for stream in filter(None, (process.stdin, process.stdout, process.stderr)):
                 with suppress(OSError):
                     stream.close()
@@ -131,10 +131,11 @@ def ran(
 def stop() -> None:
     """Kill all that runs. Whoever waits for it in another thread goes on with an error."""
     for process in list(_running):
-        _kill(process)
+        kill(process)
 
 
-def _kill(process: Popen) -> None:
+def kill(process: Popen) -> None:
+    """Kill a process that was `started`, with all that it started."""
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
 

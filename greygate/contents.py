@@ -6,6 +6,8 @@ import stat
 from io import BufferedIOBase
 from pathlib import Path
 
+from greygate.errors import InputError
+
 CHUNK = 1 << 20  # bytes read at a time
 LARGEST = 1 << 26  # bytes: a hundred times the largest file that greygate writes, except recordings
 
@@ -36,3 +38,9 @@ def bounded(file: BufferedIOBase, most: int) -> bytes | None:
         if (size := size + len(part)) > most:
             return None
     return b"".join(parts)
+
+
+def without_entities(text: bytes, path: Path | str) -> None:
+    """Raises InputError for XML that declares entities, which may unpack to anything."""
+    if b"<!" in text.replace(b"<!--", b"").replace(b"<![CDATA[", b""):
+        raise InputError(f"{path}: has a <!DOCTYPE or <!ENTITY; write the model without")

@@ -24,7 +24,7 @@ from greygate.mismatch.runs import Runs, along, with_channels
 from greygate.mismatch.scales import noise
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.expressions import names
-from greygate.plants.plant import Plant, Values
+from greygate.plants.plant import Equation, Plant, Values
 from greygate.plants.recording import Recording
 
 FORCED = "forced_"
@@ -53,7 +53,8 @@ class Acting:
 def sums(rig: Rig) -> list[str]:
     """Where a term may be missing: any balance but that of a position, any law that gives a predicted channel."""
     plant = rig.plant
-    balances = [name for name, e in plant.equations.items() if not plant.states[e.state].rate]
+    moving = {name: e.state for name, e in plant.equations.items() if e.state not in plant.shown}
+    balances = [name for name, state in moving.items() if not plant.states[state].rate]
     return balances + [name for name, d in plant.definitions.items() if d.symbol in rig.predict]
 
 
@@ -127,7 +128,9 @@ class Forced:
     ):
         everywhere, most = sums(search.rig), LONGEST // len(search.rig.predict)
         recording = first(search.final.model.recording, most)
-        anew = not search.rig.window and any(state in search.rig.channels for state in search.rig.plant.states)
+        plant = search.rig.plant
+        anew = not search.rig.window and not plant.whole
+        anew &= any(s in search.rig.channels for s in plant.states if s not in plant.shown)
         self.rig = _restarted(search.rig, recording, free) if anew else search.rig
         self.told = bool(search.rig.window)
         self.anew, self.free = anew and not free, anew and free
@@ -230,9 +233,11 @@ class Forced:
 
     def _largest(self, place: str) -> float:
         plant = self.search.rig.plant
-        terms = (plant.equations.get(place) or plant.definitions[place]).terms
-        sizes = [float(np.sqrt(np.mean(np.square(self.of(t))))) for t in terms.values()]
-        return max(sizes, default=0.0) or 1.0
+        table = plant.equations.get(place) or plant.definitions[place]
+        signals = [self.of(text) for text in table.terms.values()]
+        if not signals and plant.outside and isinstance(table, Equation):
+            signals = [np.gradient(self.of(table.state), self.search.rig.dt)]
+        return max((float(np.sqrt(np.mean(np.square(s)))) for s in signals), default=0.0) or 1.0
 
 
 def _signals(base: Fit, values: Mapping[str, float]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:

@@ -155,7 +155,8 @@ class Model:
         self.restarts = np.arange(windows) * (window or 0)
         states = self.plant.states
         rates = {s.rate: symbol for symbol, s in states.items() if s.rate is not None}
-        self.measured = [s for s in states if s in self.rig.channels] if window else []
+        moved = [s for s in states if s not in self.plant.shown]
+        self.measured = [s for s in moved if s in self.rig.channels] if window else []
         self.rates = {v: x for v, x in rates.items() if x in self.measured}
         self.locals = [*self.measured, *self.rates]
         self.reset = np.array([s in self.locals for s in states])
@@ -185,7 +186,8 @@ class Model:
         """
         recorded, first, unsure = self.recording.channels, dict[str, float](), dict[str, float]()
         outside = self.plant.outside.stepped if self.plant.outside else ()
-        given = {s: x.initial for s, x in self.plant.states.items() if x.initial == 0.0 or s in outside}
+        moved = {s: x for s, x in self.plant.states.items() if s not in self.plant.shown}
+        given = {s: x.initial for s, x in moved.items() if x.initial == 0.0 or s in outside}
         ways = {position: rate for rate, position in rates.items() if rate in given}
         for symbol in (s for s in given if s in recorded and s in self.rig.channels):
             sigma = max(self.rig.channels[symbol].sigma, noise(recorded[symbol]))

@@ -99,7 +99,7 @@ def _velocities(rig: Rig) -> Iterator[Place]:
         if v in balance:
             yield {"x": x, "v": v, "motion": balance[v]}
     for v, state in plant.states.items():
-        if is_rate(state.unit) and v in balance and v not in (*found, *found.values()):
+        if is_rate(state.unit) and v in balance and v not in plant.shown and v not in (*found, *found.values()):
             yield {"v": v, "motion": balance[v]}
     known = {balance[v] for v in plant.states if v in balance and is_rate(plant.unit(v))}
     found = _derived(plant)
@@ -135,6 +135,8 @@ def _storages(rig: Rig) -> Iterator[Place]:
     found = rates(plant)
     for name, equation in plant.equations.items():
         symbol = equation.state
+        if symbol in plant.shown:
+            continue
         inside = _is_length(units.powers(plant.unit(symbol))) or not units.powers(plant.unit(symbol))
         if inside and symbol not in rig.predict:
             continue  # how far something is bent or how much of it has closed: no stock of anything

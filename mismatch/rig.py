@@ -17,6 +17,7 @@ from greygate.mismatch.uneven import resampled, varies
 from greygate.names import check_file_name
 from greygate.plants import kinds
 from greygate.plants.expressions import check_name
+from greygate.plants.plant import SHORTEST as SHORTEST_STEP
 from greygate.plants.plant import Parameter, Plant
 from greygate.plants.recording import Recording, check_sizes, run_name
 from greygate.plants.table import CsvTable, read_table
@@ -271,6 +272,8 @@ OPTIONAL = {
     "window_s": within(0.0, LONGEST, "give seconds"),
     "settle_s": within(0.0, LONGEST, "give seconds"),
     "anew": listed(line),
+    "step_s": within(SHORTEST_STEP, LONGEST, "give seconds"),
+    kinds.TRUST: line,  # SHA-256 of the FMU that the rig means
     **UNSURE,
     "identify": listed(check_file_name),
     "holdout": listed(check_file_name),
@@ -302,7 +305,10 @@ def load(folder: Path | str) -> Rig:
     folder = Path(folder)
     path = folder / "rig.toml"
     found = table(read_toml(path, "give the folder of a rig"), f"{path}:", NEEDED, OPTIONAL, others=True)
-    return of(_plant(path, found["plant"], found["channels"]), found, folder, str(path))
+    plant = _plant(path, found["plant"], found["channels"], found.get(kinds.TRUST))
+    if "step_s" in found:
+        plant = replace(plant, step=found["step_s"])
+    return of(plant, found, folder, str(path))
 
 
 def of(plant: Plant, found: Mapping, folder: Path, source: str, given: Mapping[str, Recording] | None = None) -> Rig:
@@ -448,13 +454,35 @@ def _unit(plant: Plant, name: str) -> str | None:
         return None
 
 
-def _plant(rig: Path, name: str, channels: Collection[str]) -> Plant:
+def trusting(folder: Path | str) -> None:
+    """Let the program that computes a rig's plant run, from now on, for this user, if it is the one that it means."""
+    path = Path(folder) / "rig.toml"
+    found = read_toml(path, "give the folder of a rig")
+    plant = _plant_file(path, line(found.get("plant"), f"{path}: plant"))
+    _check_trust(path, plant, found.get(kinds.TRUST))
+    kinds.trust(plant)
+
+
+def _plant(rig: Path, name: str, channels: Mapping[str, Mapping], trusted: str | None) -> Plant:
+    path = _plant_file(rig, name)
+    _check_trust(rig, path, trusted)
+    plant = kinds.read(path, {name: entry["unit"] for name, entry in channels.items()})
+    declared(plant)
+    return plant
+
+
+def _plant_file(rig: Path, name: str) -> Path:
     own = rig.parent / check_file_name(name, f"{rig}: plant")
     known = {path.stem: path for path in sorted(PLANTS.glob("*/*.toml"))}
     path = own if own.suffix in (".toml", *kinds.KINDS) else known.get(name, own)
     if not path.exists():
         given = ", ".join(known)
         raise InputError(f"{rig}: plant {shown(name)} is unknown; give {given}, or a plant file beside rig.toml")
-    plant = kinds.read(path, channels)
-    declared(plant)
-    return plant
+    return path
+
+
+def _check_trust(rig: Path, path: Path, trusted: str | None) -> None:
+    """Raises InputError where the program that computes a plant is not the one that rig.toml means."""
+    if (digest := kinds.digest(path)) not in (None, trusted):
+        raise InputError(f"{rig}: {kinds.TRUST}: {path} is another program than it says; if you trust that too, write "
+                         f'{kinds.TRUST} = "{digest}" there, and give --trust')  # fmt: skip

@@ -1,7 +1,8 @@
 """A rig folder to start from a model of somebody else's and a log, as `greygate init-rig --model` writes it."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from greygate.mismatch.rig import FEWEST, HOLDOUT, IDENTIFY, SHORTEST, Channel, 
 from greygate.mismatch.scales import memory, noise
 from greygate.mismatch.starting import KEPT, RigStart, listed, write
 from greygate.names import check_name
+from greygate.plants import kinds
 from greygate.plants.kinds import of_file
 from greygate.plants.plant import Plant
 from greygate.plants.readers.read import read_recording
@@ -37,6 +39,7 @@ STEP = 0.1  # of a tolerance, by which a parameter is moved to see what it chang
 SHARED = 0.1  # of another parameter's tolerance, above which moving that does the same is said
 MEMORIES = 2  # of the fastest position, that a window lasts: long enough to see friction, too short to diverge
 SHORT = 50  # samples of a window, at least: a fifth of them smooths its first velocity
+STEPS = 10  # of integration in a sample, at least: effects may be quicker than the model
 LOST = 0.5  # of a channel's spread, by which a free run may be off
 WINDOWS = 10  # at least, where the recording is long enough
 
@@ -55,25 +58,29 @@ class _Log:
 
     @property
     def outputs(self) -> list[str]:
-        """Positions, and the velocities of those whose position is not there."""
+        """Positions, and the velocities of those whose position is not there; outputs that a simulator shows."""
         found = [s for s, state in self.plant.states.items() if s in self.columns and state.rate]
         seen = {self.plant.states[s].rate for s in found}
         return found + [s for s in self.plant.states if s in self.columns and s not in (*found, *seen)]
 
 
-def init_rig(path: Path, record: str, model: Path, mapped: Mapping[str, str]) -> RigStart:
+def init_rig(path: Path, record: str, model: Path, mapped: Mapping[str, str], trust: bool = False) -> RigStart:
     """Write the folder of a rig whose plant a model computes; what was written, and the next command.
 
-    mapped: symbol of the plant -> column of the log, where their names differ. Raises InputError for a model that does
+    mapped: symbol of the plant -> column of the log, where their names differ. trust: whether the model may run, if it
+    is a program. Raises InputError for a model that does
     not load, a log without its inputs or without a position, and a folder that is there; nothing is written then.
     """
     check_name(path.name, "--out")
     if path.exists():
         raise InputError(f"{path}: is there already; choose another --out, or remove it")
     recording = read_recording(record, bare=True, told=once)
+    if trust:
+        kinds.trust(model)
     log = _matched(recording, model, mapped)
     split = int(KEPT * recording.samples)
-    held = recording.samples - split >= 2 * FEWEST and split >= SHORTEST
+    timed = log.plant.outside is not None and log.plant.outside.timed  # what was held out would begin at 0 again
+    held = not timed and recording.samples - split >= 2 * FEWEST and split >= SHORTEST
     names = [*log.inputs, *log.outputs]
     units = {name: log.plant.unit(name) for name in names}
     kept = Recording(recording.dt, {n: recording[log.columns[n]] for n in names}, units, source=record)
@@ -84,12 +91,13 @@ def init_rig(path: Path, record: str, model: Path, mapped: Mapping[str, str]) ->
         write(kept, names, slice(0, split if held else None), new / IDENTIFY)
         if held:
             write(kept, names, slice(split, None), new / HOLDOUT)
-        (new / "rig.toml").write_text(_rig(log, kept, model.name, held, None, {}), encoding="utf-8")
+        sheet = _Sheet(log, kept, new / model.name, held, _step(log.plant, kept.dt))
+        sheet.write(new)
         rig = load(new)
         recording = rig.to_explain()
         window = _window(log, rig, recording)
         untold = _untold(Model(replace(rig, channels=_heard(rig, recording), window=window), recording, {}))
-        (new / "rig.toml").write_text(_rig(log, kept, model.name, held, window, untold), encoding="utf-8")
+        replace(sheet, window=window, untold=untold).write(new)
     written = ["rig.toml", model.name, IDENTIFY, *([HOLDOUT] if held else [])]
     return {"written": [str(path / n) for n in written], "next": f"greygate diagnose {path}"}
 
@@ -103,15 +111,18 @@ def _matched(recording: Recording, model: Path, mapped: Mapping[str, str]) -> _L
                              f"{', '.join(channels)}")  # fmt: skip
     columns = {name: name for name in channels if name not in mapped.values()} | dict(mapped)
     columns = {symbol: _numbered(recording).get(column, column) for symbol, column in columns.items()}
-    plant = of_file(model).read(model, columns)
+    plant = of_file(model).read(model, {symbol: recording.units[column] for symbol, column in columns.items()})
     known = [*plant.inputs, *plant.states]
     for symbol in mapped:
         if symbol not in known:
             raise InputError(f"--map {symbol}: {plant.name} has no such name; it has {', '.join(known)}")
     log = _Log(recording, {name: column for name, column in columns.items() if name in known}, plant)
     if missing := [name for name in plant.inputs if name not in log.columns]:
-        raise InputError(f"{recording.source}: no column for {', '.join(missing)}; give --map {missing[0]}=COLUMN, or "
-                         f"columns {', '.join(of_file(model).forces(plant))} in place of controls")  # fmt: skip
+        forces = ", ".join(of_file(model).forces(plant))
+        other = f", or columns {forces} in place of controls" if forces else ""
+        raise InputError(
+            f"{recording.source}: no column for {', '.join(missing)}; give --map {missing[0]}=COLUMN{other}"
+        )
     if not log.outputs:
         states = ", ".join(s for s in plant.states if s not in plant.inputs)
         raise InputError(f"{recording.source}: no column is a state of {plant.name}; give --map for one of {states}")
@@ -129,8 +140,9 @@ def _numbered(recording: Recording) -> dict[str, str]:
 
 def _window(log: _Log, rig: Rig, recording: Recording) -> int | None:
     """Samples between restarts, where a free run loses the recording and all positions are recorded; else None."""
-    positions = [s for s, state in log.plant.states.items() if state.rate]
-    if any(s not in log.columns for s in positions):
+    moving = [s for s in log.plant.states if s not in log.plant.shown]
+    positions = [s for s in moving if log.plant.states[s].rate] or moving
+    if log.plant.whole or any(s not in log.columns for s in positions):
         return None
     model = Model(rig, recording, {})
     off = np.sqrt(np.mean((model.predict(model.values) - model.target) ** 2, axis=0))
@@ -181,31 +193,60 @@ def _same(column: np.ndarray, taken: Mapping[str, np.ndarray]) -> str:
     return f"no motion of this log tells it from {', '.join(found) or 'the noise'}"
 
 
-def _rig(log: _Log, kept: Recording, model: str, held: bool, window: int | None, untold: Mapping[str, str]) -> str:
-    settle = not window and held
-    lines = [
-        "# What is known of the machine; docs/diagnosis.md describes every entry.",
-        f'plant = "{model}"',
-        f"sample_time_s = {kept.dt!r}",
-        *([f"window_s = {window * kept.dt:.6g}  # after which a simulation begins anew as recorded"] if window else []),
-        *([f"settle_s = {FEWEST * kept.dt:.6g}  # of {HOLDOUT}: they only give its initial state"] if settle else []),
-        f"predict = {listed(log.outputs)}  # what a simulation predicts",
-        "",
-        "[parameters]  # in place of the model's own",
-        "",
-        "[tolerance]  # relative, of the model's values; a parameter that is not here is known",
-        *_tolerances(log.plant, untold),
-    ]
-    for name in kept.channels:
-        role = "input" if name in log.inputs else "output"
-        lines += ["", f"[channels.{name}]", f'unit = "{kept.units[name]}"', f'role = "{role}"']
-        if role == "output":
-            size = float(noise(kept[name]))
-            lines.append(f"# noise_rms = {size:.2g}  # state it if you know it of the sensor; the recording shows that")
-    return "\n".join(lines) + "\n"
+def _step(plant: Plant, dt: float) -> float | None:
+    """s of an integration step, for equations that effects are added to; None where the model has its own."""
+    if plant.outside is None or plant.outside.steps:
+        return None
+    return dt / max(math.ceil(dt / plant.step), STEPS)
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """What rig.toml says. step: s, where it says that. window: samples. untold: parameter -> why it is not fitted."""
+
+    log: _Log
+    kept: Recording
+    model: Path
+    held: bool
+    step: float | None
+    window: int | None = None
+    untold: Mapping[str, str] = field(default_factory=dict)
+
+    def write(self, folder: Path) -> None:
+        (folder / "rig.toml").write_text("\n".join([*self._head(), *self._channels()]) + "\n", encoding="utf-8")
+
+    def _head(self) -> list[str]:
+        dt, window = self.kept.dt, self.window
+        settle = not window and self.held
+        digest = kinds.digest(self.model)
+        program = [f'{kinds.TRUST} = "{digest}"  # SHA-256 of {self.model.name}'] if digest else []
+        return [
+            "# What is known of the machine; docs/diagnosis.md describes every entry.",
+            f'plant = "{self.model.name}"',
+            *program,
+            f"sample_time_s = {dt!r}",
+            *([f"step_s = {self.step!r}  # of the integrator"] if self.step else []),
+            *([f"window_s = {window * dt:.6g}  # after which a simulation begins anew as recorded"] if window else []),
+            *([f"settle_s = {FEWEST * dt:.6g}  # of {HOLDOUT}: they only give its initial state"] if settle else []),
+            f"predict = {listed(self.log.outputs)}  # what a simulation predicts",
+            "",
+            "[parameters]  # in place of the model's own",
+            "",
+            "[tolerance]  # relative, of the model's values; a parameter that is not here is known",
+            *_tolerances(self.log.plant, self.untold),
+        ]
+
+    def _channels(self) -> Iterator[str]:
+        for name in self.kept.channels:
+            role = "input" if name in self.log.inputs else "output"
+            yield from ("", f"[channels.{name}]", f'unit = "{self.kept.units[name]}"', f'role = "{role}"')
+            if role == "output":
+                size = float(noise(self.kept[name]))
+                yield f"# noise_rms = {size:.2g}  # state it if you know it of the sensor; the recording shows that"
 
 
 def _tolerances(plant: Plant, untold: Mapping[str, str]) -> Sequence[str]:
-    known = [(s, p.value, TOLERANCES.get(s.partition("_")[0])) for s, p in plant.parameters.items()]
-    lines = {s: f"{s} = {share}  # of {v:.6g} {plant.unit(s)}" for s, v, share in known if v and share}
+    known = {s: p.tolerance or TOLERANCES.get(s.partition("_")[0]) for s, p in plant.parameters.items()}
+    given = {s: (plant.parameters[s].value, share) for s, share in known.items() if share and plant.parameters[s].value}
+    lines = {s: f"{s} = {share:.3g}  # of {v:.6g} {plant.unit(s)}" for s, (v, share) in given.items()}
     return [f"# {line}: {untold[s]}" if s in untold else line for s, line in lines.items()]

@@ -1,16 +1,18 @@
 """The kinds of simulators from outside (`outside`): the ending of a model's file, and who answers for it."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 from greygate.errors import InputError
-from greygate.plants import mjcf
+from greygate.names import check_file_name
+from greygate.plants import fmu, mjcf
 from greygate.plants.plant import Plant, read_entries
 from greygate.reading import read_toml
 
-KINDS: Mapping[str, ModuleType] = {".xml": mjcf, ".urdf": mjcf}
+TRUST = "trust"  # entry of rig.toml: the digest of the program that it means
+KINDS: Mapping[str, ModuleType] = {".xml": mjcf, ".urdf": mjcf, ".fmu": fmu}
 """`read(path, recorded)` is the plant of a model; `bundle(path)` what a rig takes along of it; `forces(plant)` are the
 inputs that it may have in place of its own."""
 
@@ -22,8 +24,28 @@ def of_file(path: Path) -> ModuleType:
     return KINDS[path.suffix]
 
 
-def read(path: Path, recorded: Collection[str]) -> Plant:
-    """The plant of a model, or of a plant's TOML file, which may add to the `model` that it names. recorded: channels.
+def digest(path: Path) -> str | None:
+    """SHA-256 of the program that computes the plant of a file, or of the model that it names; None: it is data."""
+    return None if (file := _program(path)) is None else fmu.digest(file)
+
+
+def trust(path: Path) -> None:
+    """Let the program that computes such a plant run, from now on, for this user."""
+    if (found := digest(path)) is not None:
+        fmu.trust.give(found)
+
+
+def _program(path: Path) -> Path | None:
+    if path.suffix not in KINDS:
+        named = read_toml(path, "give a plant's TOML file").get("model") if path.suffix == ".toml" else None
+        path = path.parent / check_file_name(named, f"{path}: model") if named is not None else path
+    return path if KINDS.get(path.suffix) is fmu else None
+
+
+def read(path: Path, recorded: Mapping[str, str]) -> Plant:
+    """The plant of a model, or of a plant's TOML file, which may add to the `model` that it names.
+
+    recorded: channel -> its unit.
 
     What it adds are inputs, parameters, definitions, and terms in the balances that the model has; `step` and `outputs`
     are its own where it gives them. Raises InputError naming the file and the entry.

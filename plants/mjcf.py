@@ -5,7 +5,6 @@ are the controls of its actuators, or the torques on its joints with the actuato
 `motion_JOINT` of forces. Parameters have MuJoCo's own names: `damping_JOINT`, `mass_BODY`, `kp_ACTUATOR`.
 """
 
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -16,9 +15,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from greygate.contents import contents
+from greygate.contents import contents, without_entities
 from greygate.errors import InputError, brought_by, shown
-from greygate.plants.expressions import is_symbol
+from greygate.plants.outside import RUN, symbols
 from greygate.plants.plant import Equation, Parameter, Plant, State
 
 Setting = tuple[str, tuple[int, ...], float]
@@ -132,7 +131,12 @@ class Simulated:
     elements: Mapping[tuple[str, str], str]
     controls: tuple[str, ...]
     fixed: bool = False
-    source: str = SOURCE
+    source: str = SOURCE + RUN
+    shown: Collection[str] = ()
+    loop: None = None
+    steps: bool = True
+    whole: bool = False
+    timed: bool = False
     _idle: list[Pair] = field(default_factory=list)
 
     @property
@@ -341,9 +345,8 @@ def _tree(path: Path) -> ElementTree.Element:
         text = contents(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give the model's file") from None
+    without_entities(text, path)
     try:
-        if b"<!" in text.replace(b"<!--", b"").replace(b"<![CDATA[", b""):
-            raise InputError(f"{path}: has a <!DOCTYPE or <!ENTITY; write the model without")
         return ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is no XML ({error}); repair it") from None
@@ -360,21 +363,6 @@ def _inside(path: Path, name: str, folders: Sequence[str]) -> str:
             raise InputError(f"{path}: {shown(name)} is not under the model's folder; put it there")
         found = found or (place.relative_to(home).as_posix() if place.is_file() else "")
     return found
-
-
-def symbols(names: Sequence[str], kind: str, taken: Collection[str] = ()) -> list[str]:
-    """Names of a model as symbols: letters, digits and underscores, none twice; those without one are numbered.
-
-    One that is not a name, or `taken`, has its kind before it.
-    """
-    out: list[str] = []
-    for i, name in enumerate(names):
-        symbol = re.sub(r"\W", "_", name, flags=re.ASCII) or f"{kind}{i + 1}"
-        symbol = symbol if is_symbol(symbol) and symbol not in taken else f"{kind}_{symbol}"
-        while symbol in (*out, *taken):
-            symbol += "_"
-        out.append(symbol)
-    return out
 
 
 class _Reading:

@@ -8,9 +8,12 @@ the step unstable, it is taken where the step ends: as a force less a resistance
 A simulator that gives rates in place of steps (`Rated`) is integrated as any plant, with what effects add to the rates.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Protocol, runtime_checkable
+
+from greygate.plants.expressions import is_symbol
 
 
 class Outside(Protocol):
@@ -18,13 +21,14 @@ class Outside(Protocol):
 
     fixed: whether it takes no other steps than `Plant.step`.
     stepped: the plant's states that it steps, its first; the last `forced` of them that are velocities are
-    `stepped[first : first + forced]`, on each of which a force acts.
+    `stepped[first : first + forced]`, on each of which a force acts. shown: those that it only shows, at the samples.
     parameters: those of the plant that it takes. own: "equation.term" that it computes itself. elements: (general
     effect, equation) -> the parameter by which the simulator says that effect itself.
-    source: functions that numba compiles, whose `at` is what `lent` lends: `begin(at, x)` takes the states x,
-    `accelerate(at, x, u, force)` says whether all is finite, `acceleration(at, i)` of velocity i then,
-    `mobility(at, i)`: about by how much a force accelerates it, `advance(at, x, slope)` takes a step, the forces less
-    by `slope[i]` times each change of velocity; x then has the states after it.
+    source: functions that numba compiles beside `simulator.source`: `run(x, inputs, parameters, low, high, rate, h,
+    substeps, out, at)`, whose `at` is what `lent` lends; or what `RUN` needs for that, and `RUN`.
+    steps: whether it has steps of its own; else of the plant. whole: whether it may not begin within a recording, for
+    nobody records all of its states. timed: whether what it computes depends on time itself.
+    loop: what runs the plant in place of its compiled module, in a process of its own; None: the module itself.
     """
 
     @property
@@ -36,6 +40,8 @@ class Outside(Protocol):
     @property
     def forced(self) -> int: ...
     @property
+    def shown(self) -> Collection[str]: ...
+    @property
     def parameters(self) -> Collection[str]: ...
     @property
     def own(self) -> Collection[str]: ...
@@ -43,6 +49,14 @@ class Outside(Protocol):
     def elements(self) -> Mapping[tuple[str, str], str]: ...
     @property
     def source(self) -> str: ...
+    @property
+    def steps(self) -> bool: ...
+    @property
+    def whole(self) -> bool: ...
+    @property
+    def timed(self) -> bool: ...
+    @property
+    def loop(self) -> Callable[[str], Any] | None: ...
     def lent(self, inputs: Sequence[str], values: Mapping[str, float], step: float) -> AbstractContextManager[Any]:
         """Memory for a run in steps of `step` s, with such values of its parameters; no other run has it meanwhile.
 
@@ -60,6 +74,21 @@ class Rated(Outside, Protocol):
 
     @property
     def rates(self) -> str: ...
+
+
+def symbols(names: Sequence[str], kind: str, taken: Collection[str] = ()) -> list[str]:
+    """Names of a model as symbols: letters, digits and underscores, none twice; those without one are numbered.
+
+    One that is not a name, or `taken`, has its kind before it.
+    """
+    out: list[str] = []
+    for i, name in enumerate(names):
+        symbol = re.sub(r"\W", "_", name, flags=re.ASCII) or f"{kind}{i + 1}"
+        symbol = symbol if is_symbol(symbol) and symbol not in taken else f"{kind}_{symbol}"
+        while symbol in (*out, *taken):
+            symbol += "_"
+        out.append(symbol)
+    return out
 
 
 RUN = '''
@@ -170,4 +199,9 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out, at):
                 return sample + 1
     return -1
 '''
-"""The loop of a plant that a simulator steps, beside `derivative`, `bare`, `asked` and `hold` of `simulator.source`."""
+"""The loop of a plant that a simulator steps, beside `derivative`, `bare`, `asked` and `hold` of `simulator.source`.
+
+It needs `begin(at, x)`, which takes the states x; `accelerate(at, x, u, force)`, which says whether all is finite; then
+`acceleration(at, i)` of velocity i; `mobility(at, i)`: about by how much a force accelerates it; `advance(at, x,
+slope)`, which takes a step, the forces less by `slope[i]` times each change of velocity, to the states x after it.
+"""

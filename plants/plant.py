@@ -5,7 +5,7 @@ Every equation and every intermediate quantity is a sum of *named terms*; each t
 (`Plant.residual`) and the switching of single terms (`without`, `with_term`) all use this one declaration.
 """
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -261,6 +261,16 @@ class Plant:
         if isinstance(place, Equation):
             return replace(self, parameters=known, equations={**self.equations, where: replace(place, terms=terms)})
         return replace(self, parameters=known, definitions={**self.definitions, where: replace(place, terms=terms)})
+
+    @property
+    def shown(self) -> Collection[str]:
+        """States that a simulator from outside only shows: nothing acts in their balances."""
+        return self.outside.shown if self.outside else ()
+
+    @property
+    def whole(self) -> bool:
+        """Whether a run may not begin within a recording: it has states that nobody records."""
+        return bool(self.outside and self.outside.whole)
 
     # -- asking it ---------------------------------------------------------------------------------------------------
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.plants.expressions import check_expression, check_name
+from greygate.plants.outside import RUN
 from greygate.plants.plant import Plant
 from greygate.plants.simulator import TIME
 from greygate.reading import named
@@ -327,7 +328,12 @@ class _Steps:
     lock: Any = field(default_factory=threading.Lock)  # what a function keeps, such as an environment, is one
     first: int = 0
     fixed: bool = True
-    source: str = STEP
+    steps: bool = True
+    whole: bool = False
+    timed: bool = False
+    shown: Collection[str] = ()
+    loop: None = None
+    source: str = STEP + RUN
     elements: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
     @property
@@ -381,6 +387,7 @@ class _Rates(_Steps):
     """A function that gives rates, as a `Rated`."""
 
     fixed: bool = False
+    steps: bool = False
     source: str = ""
     rates: str = RATES
 

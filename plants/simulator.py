@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from greygate.errors import InputError
 from greygate.generated import load
 from greygate.plants.expressions import names, parse
 from greygate.plants.functions import FUNCTIONS, text
-from greygate.plants.outside import RUN, Outside, Rated
+from greygate.plants.outside import Outside, Rated
 from greygate.plants.plant import Definition, Equation, Plant, Values
 from greygate.plants.recording import Recording
 
@@ -80,7 +81,7 @@ def simulate(
     states = np.empty((len(held), len(plant.states)))
     symbols, values = list(plant.states), {symbol: p.value for symbol, p in plant.parameters.items()}
     with _lent(plant, values, sample_time / substeps) as at:
-        failed = _module(source(plant)).run(
+        failed = _loop(plant).run(
             np.array([float(start[symbol]) for symbol in symbols]),
             held,
             np.array([*values.values()]),
@@ -111,7 +112,7 @@ class Restarted:
         self.substeps = max(round(sample_time / step), 1)
         self.step = sample_time / self.substeps
         self.rate = _rates(plant)
-        self.module = _module(source(plant))
+        self.module = _loop(plant)
 
     def in_steps(self, substeps: int) -> "Restarted":
         """The same plant in so many steps a sample."""
@@ -134,6 +135,9 @@ class Restarted:
         """
         if not self.plant.states:
             return np.empty((len(inputs), 0))
+        if self.plant.whole and len(restarts) > 1:
+            raise InputError(f"plant {self.plant.name}: has states that nobody records, such as those of events, and "
+                             "cannot begin anew within a recording; leave window_s out")  # fmt: skip
         scope = Values(self.plant, {})
         scope.update(values)
         low, high = _bounds(self.plant, lambda bound: scope.evaluate(bound) if isinstance(bound, str) else bound)
@@ -243,7 +247,7 @@ def source(plant: Plant) -> str:
     runs while they stay off. It is written only from checked names and trees of checked expressions, because `Plant`
     refuses others.
     """
-    lines = ["import numpy as np", "from numba import njit, types", ""]
+    lines = ["import numpy as np", "from numba import carray, cfunc, njit, types", ""]
     lines += ["jit = njit(cache=True, error_model='numpy', nogil=True)", ""]
     for name in FUNCTIONS:
         if name != "when":  # `when` is written out in place
@@ -255,8 +259,11 @@ def source(plant: Plant) -> str:
     asked = [f"    _on[{i}] = {condition}" for i, condition in enumerate(blocks)]
     lines += ["@jit", "def asked(_p):", *_taken("_p", plant.parameters), f"    _on = np.empty({len(blocks)}, np.bool_)"]
     lines += [*asked, "    return _on", "", *full, *bare]
+    if plant.outside is not None and plant.outside.loop is not None:
+        sizes = {"x": len(plant.states), "u": len(plant.inputs), "p": len(plant.parameters), "on": len(blocks)}
+        return "\n".join(lines) + _CALLED.format(**sizes)
     loop, at = (_RUN.format(**_ALONE), "") if plant.outside is None else (_given(plant, plant.outside), ", at")
-    return "\n".join(lines) + _BOUNDED + loop + _RESTARTED.format(at=at)
+    return "\n".join(lines) + BOUNDED + loop + RESTARTED.format(at=at)
 
 
 def _given(plant: Plant, of: Outside) -> str:
@@ -273,7 +280,7 @@ def _stepped(plant: Plant, of: Outside) -> str:
         f"STEPPED, FIRST, FORCED = {len(of.stepped)}, {of.first}, {of.forced}",
         f"RESISTING = {bool(used & moving)}",
     ]
-    return "\n".join(["", *lines, of.source, RUN])
+    return "\n".join(["", *lines, of.source])
 
 
 def _added(plant: Plant) -> Plant:
@@ -373,7 +380,7 @@ def _rows() -> str:
 
 
 # Loops in place of array operations, and one call of `derivative`: numba compiles that in a third of the time.
-_BOUNDED = f'''
+BOUNDED = f'''
 
 @jit
 def hold(x, dx, low, high, rate, bounded):
@@ -449,7 +456,7 @@ _RATED = {
 """,
 }
 """What the loop has besides where a simulator from outside gives rates."""
-_RESTARTED = '''
+RESTARTED = '''
 
 @jit
 def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out{at}):
@@ -465,6 +472,32 @@ def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, s
             return first + failed
     return -1
 '''
+
+
+def _loop(plant: Plant) -> Any:
+    """What runs a plant: its compiled module, or what stands for it where a simulator runs elsewhere."""
+    text = source(plant)
+    return _module(text) if plant.outside is None or plant.outside.loop is None else plant.outside.loop(text)
+
+
+_CALLED = '''
+
+REAL, BYTE = types.CPointer(types.float64), types.CPointer(types.uint8)
+called = cfunc(types.void(REAL, REAL, REAL, BYTE, REAL), cache=True, error_model='numpy')
+
+
+@called
+def all_terms(x, u, p, on, dx):
+    """`derivative`, to be called by its address."""
+    derivative(carray(x, {x}), carray(u, {u}), carray(p, {p}), carray(on, {on}), carray(dx, {x}))
+
+
+@called
+def few_terms(x, u, p, on, dx):
+    """`bare`, likewise."""
+    bare(carray(x, {x}), carray(u, {u}), carray(p, {p}), carray(on, {on}), carray(dx, {x}))
+'''
+"""Of a plant that a simulator runs in a process of its own: what its loop there takes."""
 
 
 @lru_cache(maxsize=64)

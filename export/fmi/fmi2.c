@@ -26,7 +26,7 @@ EXPORTED void *fmi2Instantiate(const char *name, int type, const char *token, co
     return (type == 1) ? instance_new(token) : 0; /* 1: co-simulation */
 }
 
-EXPORTED void fmi2FreeInstance(void *i) { free(i); }
+EXPORTED void fmi2FreeInstance(void *i) { instance_free((instance *)i); }
 
 EXPORTED int fmi2SetupExperiment(void *i, int tolerance, double relative, double start, int stops, double stop)
 {

@@ -36,7 +36,7 @@ EXPORTED void *fmi3InstantiateScheduledExecution(const char *name, const char *t
     return 0;
 }
 
-EXPORTED void fmi3FreeInstance(void *i) { free(i); }
+EXPORTED void fmi3FreeInstance(void *i) { instance_free((instance *)i); }
 
 EXPORTED int fmi3EnterInitializationMode(void *i, bool tolerance, double relative, double start, bool stops, double stop)
 {

@@ -37,8 +37,18 @@ static instance *instance_new(const char *token)
     return made;
 }
 
+static void instance_free(instance *i)
+{
+    if (i != 0)
+    {
+        model_end(&i->now);
+        free(i);
+    }
+}
+
 static int instance_reset(instance *i)
 {
+    model_end(&i->now);
     (void)memset(i, 0, sizeof *i);
     model_start(&i->now);
     return OK;
@@ -117,7 +127,7 @@ static int instance_step(instance *i, double from, double size)
 
 static int instance_keep(const instance *i, void **kept)
 {
-    if (*kept == 0)
+    if ((*kept == 0) && (MODEL_COPIES != 0))
     {
         *kept = malloc(sizeof *i);
     }
@@ -158,7 +168,7 @@ static int instance_write(const void *kept, unsigned char *bytes, size_t size)
 
 static int instance_read(const unsigned char *bytes, size_t size, void **kept)
 {
-    if (size != sizeof(instance))
+    if ((size != sizeof(instance)) || (MODEL_COPIES == 0))
     {
         return ERROR;
     }

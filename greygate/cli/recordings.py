@@ -143,17 +143,19 @@ def init_rig(
     output: Outputs = [],
     input: Inputs = [],
     model: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Model that simulates the machine: MJCF or URDF of MuJoCo.")
+        Path | None, typer.Option(metavar="FILE", help="Model that simulates the machine: MJCF or URDF of MuJoCo, FMU.")
     ] = None,
     map: Annotated[
-        list[str], typer.Option(metavar="NAME=COLUMN", help="Column of a joint or an actuator of the model.")
+        list[str], typer.Option(metavar="NAME=COLUMN", help="Column of a joint, an actuator, a variable of the model.")
     ] = [],
+    trust: words.Trust = False,
     as_json: Json = False,
 ) -> None:
     """Write a rig to start from.
 
-    That is rig.toml, the recordings, and the model, whose joints and actuators are columns of the recording. Without
-    --model it is a placeholder plant to be replaced; all channels but --output are inputs if none is given.
+    That is rig.toml, the recordings, and the model, whose joints and actuators, or inputs, outputs and states, are
+    columns of the recording. An FMU runs only with --trust. Without --model it is a placeholder plant to be replaced;
+    all channels but --output are inputs if none is given.
     """
     from greygate.mismatch import starting, starting_model
 
@@ -165,5 +167,5 @@ def init_rig(
     elif input or output:
         raise InputError("--model: says itself what is an input and what an output; leave out --input and --output")
     else:
-        found = starting_model.init_rig(out, str(recording), model, named)
+        found = starting_model.init_rig(out, str(recording), model, named, trust)
     give("init-rig", found, as_json, [*(f"written to {file}" for file in found["written"]), f"next: {found['next']}"])

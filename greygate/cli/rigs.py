@@ -1,6 +1,7 @@
 """Commands on rigs: diagnose, next, isolability, simulate, augment, and the concealed cases that test them."""
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -35,6 +36,7 @@ def diagnose(
     jobs: words.Jobs = 1,
     backend: OnBackend = Backend.LOKY,
     scheduler: Scheduler = None,
+    trust: words.Trust = False,
     as_json: Json = False,
 ) -> None:
     """Name the physics that a simulation leaves out.
@@ -48,6 +50,7 @@ def diagnose(
     from greygate.mismatch.explain import explain, explain_all
     from greygate.pages.diagnosis import page
 
+    _trusting(rigs if trust else ())
     if accept and len(rigs) > 1:
         raise InputError("--accept takes the formula of one rig; give one")
     if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
@@ -69,6 +72,13 @@ def diagnose(
         say(f"greygate: {name}: {found[name]['error']}")
     if failed:
         raise typer.Exit(2)
+
+
+def _trusting(rigs: Iterable[Path]) -> None:
+    from greygate.mismatch.rig import trusting
+
+    for rig in rigs:
+        trusting(rig)
 
 
 def isolability(
@@ -139,6 +149,7 @@ def simulate(
         str | None,
         typer.Option("--as", metavar="NAME", help="Of the [recordings.NAME] that holds; else the file's name."),
     ] = None,
+    trust: words.Trust = False,
     as_json: Json = False,
 ) -> None:
     """Simulate a recording, as the data sheet says or a diagnosis.
@@ -148,6 +159,7 @@ def simulate(
     """
     from greygate.mismatch.explain import predict
 
+    _trusting([rig] if trust else ())
     rms = predict(rig, recording, diagnosis, out, effects, own)
     lines = [
         f"{name:10} RMS of simulated minus recorded {finite(e['rms'], '.5g')} {e['unit']}" for name, e in rms.items()

@@ -69,3 +69,6 @@ def settled(text: str) -> int | None:
     if not (text.isascii() and text.isdigit() and len(text) < 10):
         raise InputError(f"--settle {text}: give a whole number of samples from 0 to {options.MOST}, or {AUTO}")
     return int(text)
+
+
+Trust = Annotated[bool, typer.Option("--trust", help="Let the rig's FMU run: it is a program of whoever made it.")]

@@ -97,7 +97,7 @@ def suffixed(header: str) -> tuple[str, str | None]:
 def same(unit: str, other: str) -> bool:
     """Whether both are one unit."""
     try:
-        return unit.strip() == other or _scale(unit.strip(), None) == _scale(other, None)
+        return unit.strip() == other or scale(unit.strip(), None) == scale(other, None)
     except InputError:
         return False
 
@@ -125,7 +125,7 @@ def converted(values: np.ndarray, unit: str, where: str, wanted: str | None = No
     if text == wanted:
         return values, text
     try:
-        factor, zero, to = _scale(text, wanted)
+        factor, zero, to = scale(text, wanted)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     return (values * factor + zero if zero else values if factor == 1 else values * factor), to
@@ -134,13 +134,13 @@ def converted(values: np.ndarray, unit: str, where: str, wanted: str | None = No
 def factor(unit: str, wanted: str) -> float | None:
     """What a difference of 1 of a unit is in another; None where they are of two kinds, or one is not known."""
     try:
-        return 1.0 if unit == wanted else _scale(unit, wanted)[0]
+        return 1.0 if unit == wanted else scale(unit, wanted)[0]
     except InputError:
         return None
 
 
 @lru_cache(4096)
-def _scale(unit: str, wanted: str | None) -> tuple[float, float, str]:
+def scale(unit: str, wanted: str | None) -> tuple[float, float, str]:
     """(factor, zero, unit): what 1 and 0 of the unit are there. Raises InputError without a place."""
     symbols = _read(unit, wanted)
     given = quantity(symbols)
