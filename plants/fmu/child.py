@@ -8,7 +8,7 @@ import os
 import re
 import sys
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -24,15 +24,17 @@ from greygate.plants.fmu.pipe import receive, send
 LOGGED = 150  # characters of what an FMU logs, that are told
 WORSE = 1  # status above which a log entry is kept in place of an earlier one
 POINTS = 4  # of state, input and time at which equations are looked at
+FEWEST = 3  # of these, at least: from fewer nothing is said
 SPREAD = 0.1  # of a nominal value, by which these lie around the start
 LATER = 0.3719  # s between them: a time at which nothing comes back
-OFF = 0.05  # of a parameter, by which it is another there
+OFF, SMALLER = 0.05, 10  # of a parameter, by which it is another there; times less where the FMU refuses that
 NUDGE = 1e-6  # of a nominal value, for a slope
 ROUNDS = 100  # of an event, at most
 
 
 Numbers = Sequence[float] | np.ndarray
 Arrays = Mapping[str, np.ndarray]
+Looks = list[tuple[np.ndarray, ...]]
 
 
 class Refused(Exception):
@@ -131,30 +133,45 @@ class Unit:
             return found | {"rates": {}, "same": {}, "fastest": 0.0, "timed": False}
         start, given = self._vector("states"), np.array(found["inputs"])
         nominal = np.abs(self._vector("nominals"))
-        looks = self._looks(start, given, nominal)
-        fastest = max(self._fastest(x, nominal) for x in [start])
-        later = self._at(about["from"] + LATER, start, given)
-        timed = any(not np.array_equal(a, b) for a, b in zip(later, self._at(about["from"], start, given), strict=True))
-        other = [v * (1 + OFF * (1 + i % 3)) if v else OFF for i, v in enumerate(values)]
-        try:
-            self.fresh(other)
-            looks += self._looks(start, given, nominal)
-        except Exception:  # it stands no other parameters
-            pass
+        fastest, timed, looks = (
+            self._fastest(start, nominal),
+            self._timed(start, given),
+            self._looks(start, given, nominal),
+        )
+        looks = self._otherwise(looks, lambda: self._looks(start, given, nominal))
         n = range(len(start))
-        rates = {i: j for i in n for j in n if i != j and all(dx[i] == x[j] for x, dx, _ in looks)}
         shown = range(len(about["shown"]))
-        same = {i: j for i in shown for j in n if all(y[i] == x[j] for x, _, y in looks)}
+        rates = {i: j for i in n for j in n if looks and i != j and all(dx[i] == x[j] for x, dx, _ in looks)}
+        same = {i: j for i in shown for j in n if looks and all(y[i] == x[j] for x, _, y in looks)}
         found["start"] = self.start = _out(start, about["scales"]["states"]).tolist()
         return found | {"rates": rates, "same": same, "fastest": fastest, "timed": timed}
 
-    def _looks(self, start: np.ndarray, given: np.ndarray, nominal: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+    def _timed(self, start: np.ndarray, given: np.ndarray) -> bool:
+        """Whether what it computes depends on time itself."""
+        now = self._at(self.about["from"], start, given)
+        with suppress(FMICallException):
+            later = self._at(self.about["from"] + LATER, start, given)
+            return any(not np.array_equal(a, b) for a, b in zip(later, now, strict=True))
+        return True
+
+    def _otherwise(self, looks: Looks, look: Callable[[], Looks]) -> Looks:
+        """The looks, and those with other parameters: nothing may be so by their values alone. None where too few."""
+        values = self.about["values"]
+        for size in (OFF, OFF / SMALLER, OFF / SMALLER**2) if values else ():
+            with suppress(FMICallException, Refused):  # it may not stand them
+                self.fresh([v * (1 + size * (1 + i / len(values))) if v else size for i, v in enumerate(values)])
+                more = look()
+                return looks + more if len(more) >= FEWEST <= len(looks) else []
+        return [] if values or len(looks) < FEWEST else looks
+
+    def _looks(self, start: np.ndarray, given: np.ndarray, nominal: np.ndarray) -> Looks:
         """(states, their rates, outputs) at some points."""
-        rng, found = np.random.default_rng(0), []
+        rng, found = np.random.default_rng(0), list[tuple[np.ndarray, ...]]()
         for k in range(POINTS):
             x = start + SPREAD * nominal * rng.standard_normal(len(start))
             u = given + SPREAD * np.maximum(np.abs(given), 1.0) * rng.standard_normal(len(given))
-            found.append((x, *self._at(self.about["from"] + k * LATER, x, u)))
+            with suppress(FMICallException):  # outside of where it is defined
+                found.append((x, *self._at(self.about["from"] + k * LATER, x, u)))
         return found
 
     def _at(self, t: float, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -223,7 +240,7 @@ class Unit:
         wanted = _into(starts[0, :n], scales["states"])
         begin = {r: x for r, x, s, own in zip(about["states"], wanted, starts[0], self.start, strict=False) if s != own}
         self.fresh(asked["values"], given, begin)
-        own = _out(self._vector("states"), scales["states"]) if n else []
+        own = _out(self._vector("states"), scales["states"]) if n else np.empty(0)
         for j in range(n):
             if about["states"][j] not in begin:
                 starts[0, j] = own[j]

@@ -13,6 +13,7 @@ import numpy as np
 
 from greygate.plants.simulator import BOUNDED, RESTARTED
 
+Numbers = Sequence[float] | np.ndarray
 FLAGS = 8  # numbers that FMI answers with
 COUNTS = ("EFFECTS", "INPUTS", "OUTPUTS", "STATES", "SIGNS")  # signs: event indicators
 ROWS = (
@@ -147,7 +148,8 @@ def flow(at, t, x, u, p, dx):
     for j in range(at[0][STATES]):
         dx[j] += at[2][SCALE, j] * at[2][RATE, j]
     return fine
-
+'''
+STEP = '''
 
 @jit
 def shown(at, t, x):
@@ -315,6 +317,15 @@ def given(at, t, x, u, first):
 
 
 @jit
+def flow(at, t, x, u, p, dx):
+    """The rates of states that effects have."""
+    call(at[0][EFFECTS], x.ctypes.data, u.ctypes.data, p.ctypes.data, at[4].ctypes.data, dx.ctypes.data)
+    return True
+'''
+ITSELF = '''
+
+
+@jit
 def advanced(at, t, h, x, u, p, low, high, rate, bounded, k, y, end):
     """A step of the FMU, and of what effects have of their own."""
     fine = step(at, t, h, x, u, p, low, high, rate, bounded, k, y, end)
@@ -395,8 +406,8 @@ NAMES = "\n".join(
 
 
 def memory(
-    instance: int, effects: int, on: np.ndarray, columns: Sequence[int], inputs: Sequence[int], outputs: Sequence[int],
-    signs: int, rows: Mapping[str, Sequence[float]], wide: bool,
+    instance: int, effects: int, on: np.ndarray, columns: Numbers, inputs: Sequence[int], outputs: Sequence[int],
+    signs: int, rows: Mapping[str, Numbers], wide: bool,
 ) -> tuple[np.ndarray, ...]:  # fmt: skip
     """The `at` of a run. rows: those of the numbers that are not 0. wide: flags are integers, else bytes."""
     states = len(rows["STATE"])
@@ -412,8 +423,8 @@ def memory(
 def source(version: int, stepped: bool, events: bool, completes: bool) -> str:
     """The module of an FMU's kind. stepped: it steps itself. events: it may have such. completes: it hears of steps."""
     if stepped:
-        parts = (SETTING[version], GIVEN, STEPS[version], STEPPED, FLOW, RUN)
+        parts = (SETTING[version], GIVEN, STEPS[version], STEPPED, STEP, ITSELF, RUN)
     else:
         kind = (EVENTS,) if events else (f"\nCOMPLETES = {completes}\n", PLAIN)
-        parts = (SETTING[version], EXCHANGE[version], GIVEN, PLACED, FLOW, COMPLETED, *kind, RUN)
+        parts = (SETTING[version], EXCHANGE[version], GIVEN, PLACED, FLOW, STEP, COMPLETED, *kind, RUN)
     return "".join([HEAD, NAMES, BOUNDED, *parts, RESTARTED.format(at=", at")])

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import Lock, Timer
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -113,19 +113,19 @@ class _Process:
         self._process = self._stack.enter_context(
             children.started(command, stdin=children.PIPE, stdout=children.PIPE, stderr=children.DEVNULL)
         )
+        self._to: BinaryIO = cast(Any, self._process.stdin).buffer
+        self._from: BinaryIO = cast(Any, self._process.stdout).buffer
         self.living = True
 
     def ask(self, said: Mapping[str, Any], arrays: Arrays, most: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Its answer within `most` s. Raises Died, and InputError where the FMU refuses."""
         late = Timer(most, children.kill, [self._process])
         late.daemon = True
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
         late.start()
         began = time.monotonic()
         try:
-            send(self._process.stdin.buffer, said, arrays)
-            told, found = receive(self._process.stdout.buffer)
+            send(self._to, said, arrays)
+            told, found = receive(self._from)
         except (OSError, EOFError, ValueError) as error:
             late.cancel()
             raise self._dead(error, most, time.monotonic() - began) from None
