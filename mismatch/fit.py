@@ -174,20 +174,23 @@ class Fit:
         return _larger(robust, white)
 
     def spread(self) -> np.ndarray:
-        """Factor of each number's variance (k,), by how far the recordings disagree beyond what each leaves open.
+        """Standard deviation of each number (k,) by how far the recordings disagree beyond what each leaves open; or 0.
 
-        The change that leaving out a recording makes has a variance of its own: what it adds to the number's
-        (Hausman, Econometrica 46, 1978).
+        It is that of the jackknife, but no more than the number's own times that by which the change that leaving out a
+        recording makes exceeds its own deviation (Hausman, Econometrica 46, 1978).
         """
-        of, all_ = self.likelihood.recording, _inverse(self.information)
-        names = np.unique(of)
-        found = np.zeros(len(self.numbers))
-        for name in names if len(names) > 1 else ():
+        of, whole_ = self.likelihood.recording, _inverse(self.information)
+        steps, factors = [], []
+        for name in (names := np.unique(of)) if of.any() else ():
             kept = self.slopes[of != name].reshape(-1, len(self.numbers))
-            more = np.diag(_inverse(kept.T @ kept + np.diag(self.weight)) - all_)
-            step = self.step(of != name)
-            found += np.where(more > ROUNDING * np.diag(all_), step**2 / np.maximum(more, TINY), 0.0) / len(names)
-        return np.maximum(found / max(1.0, float(np.mean(self.projected**2))), 1.0)
+            more = np.diag(_inverse(kept.T @ kept + np.diag(self.weight)) - whole_)
+            steps.append(self.step(of != name))
+            factors.append(np.where(more > ROUNDING * np.diag(whole_), steps[-1] ** 2 / np.maximum(more, TINY), 0.0))
+        if not steps:
+            return np.zeros(len(self.numbers))
+        factor = np.mean(factors, axis=0) / max(1.0, float(np.mean(self.projected**2)))
+        jackknife = np.var(steps, axis=0) * (len(names) - 1)
+        return np.sqrt(np.minimum(factor * np.diag(self.covariance), jackknife))
 
     def widened(self, symbols: Collection[str]) -> float:
         """The largest factor by which errors that depend on each other widen the variance of one of `symbols`."""
@@ -232,7 +235,7 @@ class Fit:
         fit = self.centred()
         white = max(1.0, float(np.mean(fit.projected**2)))
         found = deviations(fit.normal[0] / white, self.weight, np.sqrt(np.diag(fit.covariance)))
-        found = found * np.sqrt(fit.spread())
+        found = np.maximum(found, fit.spread())
         return {u.symbol: float(d * abs(u.scale)) for u, d in zip(self.unknowns, found, strict=True)}
 
 

@@ -38,6 +38,7 @@ STALLED = 0.1  # of what the best saves: a fit that gave up within so much cost 
 FAR = 0.3  # of the most promising gain: below that, no hypothesis is tried beside one whose fit is complete
 NEARLY = 0.95  # of the gain that another form of an effect promises, which its plain form must promise to come first
 APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
+ALMOST = 2.0  # times what several names leave, which a term may leave that does nearly as well
 EXCHANGED, ROUNDS = 4, 3  # hypotheses that are fitted in the place of an effect; times that all are exchanged
 KEPT = 0.5  # of the gain that the scores promise, of which a fit that saves less may be in a local minimum
 PROMISING = 0.5  # of the gain that the scores promise of what is there, which they must promise of another
@@ -180,11 +181,11 @@ class Selection:
         return promised(self.search.scores(found.fit.likelihood, found.fit, found.best), found.fit) > 1.0
 
     def outdone(self, best: Hypothesis, explained: float, share: float) -> bool:
-        """Whether a term that takes such a `share` does as well as what is named.
+        """Whether a term that takes such a `share` does as well as what is named, or nearly as several names do.
 
-        Several names that leave something are such a term.
+        Several names that leave something may be no more than such a term.
         """
-        return share >= explained or best.size > 1
+        return 1.0 - share <= (ALMOST if best.size > 1 else 1.0) * (1.0 - explained)
 
     def rivals(self, found: Found) -> dict[Hypothesis, float]:
         """The cost of every hypothesis, in units of evidence on `found`."""
