@@ -15,7 +15,7 @@ from test_children import ended
 
 from benchmarks.concealed_bench import tables
 from benchmarks.concealed_bench.answer import Answer
-from benchmarks.concealed_bench.baselines import gaussian, linear, sparse
+from benchmarks.concealed_bench.baselines import gaussian, linear, neural, sparse
 from benchmarks.concealed_bench.entrant import answer as our_answer
 from benchmarks.concealed_bench.make import COMMITMENT, KINDS, committed, make, plan
 from benchmarks.concealed_bench.run import BASELINES, run
@@ -260,7 +260,7 @@ def test_intervals_are_counted_whatever_the_verdict_says(bench, tmp_path):
 
 @pytest.mark.parametrize("method", BASELINES)
 def test_a_baseline_answers_every_case_and_claims_nothing(bench, tmp_path, method):
-    pytest.importorskip({"sparse": "pysindy", "gaussian": "sklearn"}.get(method, "numpy"))
+    pytest.importorskip({"sparse": "pysindy", "gaussian": "sklearn", "neural": "sklearn"}.get(method, "numpy"))
     done = run(bench, method, tmp_path / method, 60.0, cases=2)
     assert [facts["error"] for facts in done.values()] == [""] * 2
     scores = score(bench, tmp_path / method)
@@ -271,9 +271,9 @@ def test_a_baseline_answers_every_case_and_claims_nothing(bench, tmp_path, metho
         assert all(s.removed == pytest.approx(0.0, abs=1e-2) for s in scores if s.removed is not None)
 
 
-@pytest.mark.parametrize("model", [linear, sparse, gaussian])
+@pytest.mark.parametrize("model", [linear, sparse, gaussian, neural])
 def test_a_residual_model_learns_what_it_can_express(model):
-    pytest.importorskip({sparse: "pysindy", gaussian: "sklearn"}.get(model, "numpy"))
+    pytest.importorskip({sparse: "pysindy", gaussian: "sklearn", neural: "sklearn"}.get(model, "numpy"))
     rng = np.random.default_rng(0)
     signals = rng.standard_normal((1000, 3))
     error = 0.8 * signals[:, 1] + 0.05 * rng.standard_normal(1000)

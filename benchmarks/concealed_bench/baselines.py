@@ -5,6 +5,7 @@
     linear       + a ridge regression of what calibration leaves on the signals and their past
     sparse       + a sparse regression of it over a library of functions (STLSQ of pysindy, two thresholds)
     gaussian     + a Gaussian process of it over the signals (scikit-learn)
+    neural       + a tanh network of it over the signals (scikit-learn)
 
 A residual model reads inputs and simulated outputs, never recorded outputs, so that it predicts as the simulation does.
 It corrects where, learned from the first three quarters of identify.csv, it makes the last quarter better.
@@ -40,6 +41,7 @@ TRIED = 0.75  # of identify.csv, from which a model is learned that is tried on 
 LEARNED = 4000  # samples, evenly spread, that the sparse model learns from
 TRAINED = 400  # samples that the Gaussian process learns from: its time grows with the third power
 CHUNK = 2000  # samples that it predicts at once
+NEURONS, EPOCHS = (32,), 400  # of the network
 SEED = 1
 INSTALL = "pip install 'greygate[bench]'"
 
@@ -136,10 +138,28 @@ def gaussian(signals: np.ndarray, error: np.ndarray) -> Model:
     return lambda now: np.concatenate([model.predict(now[k : k + CHUNK]) for k in range(0, len(now), CHUNK)])
 
 
+def neural(signals: np.ndarray, error: np.ndarray) -> Model:
+    """A network of one tanh layer, trained until a tenth of the samples that it does not learn from gets no better."""
+    try:
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.neural_network import MLPRegressor
+    except ImportError:
+        raise InputError(f"neural: needs scikit-learn; {INSTALL}") from None
+    some = slice(None, None, max(1, len(error) // LEARNED))
+    with threadpool_limits(1), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        model = MLPRegressor(
+            hidden_layer_sizes=NEURONS, activation="tanh", early_stopping=True, max_iter=EPOCHS, random_state=SEED
+        )
+        model.fit(signals[some], error[some])
+    return model.predict
+
+
 MODELS: dict[str, list[Learner]] = {
     "linear": [linear],
     "sparse": [partial(sparse, threshold=threshold) for threshold in THRESHOLDS],
     "gaussian": [gaussian],
+    "neural": [neural],
 }
 
 
