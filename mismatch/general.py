@@ -54,6 +54,8 @@ def general(
         named = _named(at)
         for name, place in named.items():
             made = _filled(entry, place)
+            released = made.pop("frees", {})
+            made.setdefault("parameters", released)
             needs = made.pop("needs", [])
             if not timed and _timed(made):
                 continue
@@ -62,8 +64,11 @@ def general(
             sized = _sized(made, seen, every)
             if sized is None:
                 continue
-            sized = _renamed(sized, taken)
-            if element := elements.get((key, place.get("motion", ""))):
+            if released:
+                sized["frees"] = sized.pop("parameters")
+            else:
+                sized = _renamed(sized, taken)
+            if not released and (element := elements.get((key, place.get("motion", "")))):
                 sized = _released(sized, element)
             taken |= {*sized.get("parameters", {}), *sized.get("states", {})}
             if "of" in sized and len(named) > 1:

@@ -102,11 +102,12 @@ class _Joining:
                 self.fail(effect, f"set {symbol}: plant {self.plant.name} has no such parameter")
 
     def show(self, effect: Effect, channel: str, term: str, text: str) -> None:
-        """Enter a term that a sensor adds to its channel; it may use that channel, `t` and parameters."""
+        """Enter a term that a sensor adds to its channel; it may use that channel, inputs, `t` and parameters."""
         self.signal(effect, channel)
         for name in parse(text).names:
-            if name not in (channel, TIME) and name not in self.parameters:
-                self.fail(effect, f"{SENSOR}{channel}.{term}: unknown name {name!r}; use {channel} and parameters")
+            if name not in (channel, TIME, *self.plant.inputs) and name not in self.parameters:
+                known = f"use {channel}, inputs and parameters"
+                self.fail(effect, f"{SENSOR}{channel}.{term}: unknown name {name!r}; {known}")
         self.readings.setdefault(channel, {})[f"{effect.key}.{term}"] = effect.lazily(text)
 
     def signal(self, effect: Effect, channel: str) -> None:

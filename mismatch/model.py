@@ -65,8 +65,10 @@ class Model:
     def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], window: int | None = None):
         self.rig, self.effects = rig, effects
         self.plant, self.readings = join(rig.plant, effects.values())
-        if rig.window:
+        timed = bool(rig.window) or bool(getattr(rig.plant.outside, "early", 0.0))
+        if timed:
             self._add(TIMING, "s")
+        if rig.window:
             self._add(EARLY, "1")
         derived = self.plant.derived.items()
         self.integrals = {name: how.partition(" ")[2] for name, how in derived if how.startswith("integral ")}
@@ -81,7 +83,7 @@ class Model:
                 if kind not in known:
                     raise InputError(f"effect {effect.key}: filters.{name}: {kind!r}; give one of {', '.join(known)}")
                 self._filters.setdefault(name, []).append((kind, tuple(symbols)))
-        for name in rig.inputs if rig.window else ():
+        for name in rig.inputs if timed else ():
             self._filters.setdefault(name, []).append(("delay", (TIMING,)))
         steps = Restarted(self.plant, rig.dt, self.plant.step).substeps
         self._parts = next(parts for parts in range(PARTS, 0, -1) if steps % parts == 0)
@@ -125,6 +127,11 @@ class Model:
         other = copy.copy(self)
         other._take(recording, self.window)
         return other
+
+    @property
+    def early_by(self) -> float:
+        """By how much inputs may act early (s): a simulator from outside takes them in steps of its own."""
+        return float(getattr(self.plant.outside, "early", 0.0)) * self._compiled.step
 
     @property
     def longer_steps(self) -> list[int]:
@@ -387,7 +394,8 @@ class Model:
         self, channel: str, state: np.ndarray, values: Mapping[str, float], at=slice(None)
     ) -> np.ndarray | float:
         """What the channel's sensor adds to the state, at the samples `at`."""
-        scope = Values(self.plant, {channel: state, TIME: self.recording.time[at]})
+        given = {name: signal[at] for name, signal in self._inputs.items()}
+        scope = Values(self.plant, {**given, channel: state, TIME: self.recording.time[at]})
         scope.update(values)
         return sum((scope.evaluate(text) for text in self._shown(channel, values)), start=0.0)
 

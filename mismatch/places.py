@@ -4,7 +4,7 @@ A velocity may be the rate of a state, a state, a derived input or a definition;
 balance of its own. A place says by which name each goes in an entry of `general.toml`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from fractions import Fraction
 from itertools import combinations
 
@@ -19,6 +19,7 @@ Place = dict[str, str]
 LENGTHS = ("m", "mm", "cm", "µm", "um", "km", "in", "rad", "mrad", "deg", "°", "rev", "turn", "tick", "count")
 ANGLES = ("rad",)  # whose sine and cosine are taken as they are
 FAST = ("rpm", "Hz")  # rates that need no second below
+LOADS, TILTS = ("payload",), ("gravity_x", "gravity_y", "gravity_z")  # elements that only a simulator has
 PAIRS = 6  # of states, between which something may flow or act: those of the first states
 
 
@@ -33,8 +34,11 @@ def places(rig: Rig) -> dict[str, list[Place]]:
         "v": moving,
         "x": [place for place in moving if "x" in place],
         "angle": [place for place in moving if "x" in place and plant.unit(place["x"]) in ANGLES],
-        "drive": [place | {"drive": drive} for place in moving if (drive := _drive(rig, place["motion"]))],
+        "drive": (driven := [p | {"drive": drive} for p in moving if (drive := _drive(rig, p["motion"]))]),
+        "geared": [place for place in driven if place.get("x") in rig.predict and _known(plant, place)],
         "s": stored,
+        "load": _elements(plant, LOADS),
+        "tilt": _elements(plant, TILTS),
         "pair": _pairs(plant, stored, "s", "balance"),
         "bodies": _pairs(plant, [p for p in moving if p["v"] in plant.states], "v", "motion"),
         "springs": _pairs(plant, [p for p in moving if p["v"] in plant.states and "x" in p], "x", "motion"),
@@ -161,12 +165,29 @@ def _drive(rig: Rig, where: str) -> str:
     return " + ".join(f"({text})" for text in terms if driven & names([text]))
 
 
+def _known(plant: Plant, place: Place) -> bool:
+    """Whether a drive is known where its position and the inputs are."""
+    used = names([place["drive"]])
+    used |= names(text for d in plant.needed(used) for text in d.terms.values())
+    return not used & {*plant.states} - {place["x"]}
+
+
 def _driven(rig: Rig) -> set[str]:
     """The inputs, and what is defined by them."""
     definitions, found = rig.plant.definitions.values(), {*rig.inputs}
     while new := {d.symbol for d in definitions if found & names(d.terms.values())} - found:
         found |= new
     return found
+
+
+def _elements(plant: Plant, effects: Collection[str]) -> list[Place]:
+    """Where a plant's simulator has one of these: its parameter, and what its name says beyond the effect's."""
+    found = plant.outside.elements.items() if plant.outside else ()
+    return [
+        {"b": symbol.removeprefix(f"{effect}_"), "motion": place}
+        for (effect, place), symbol in found
+        if effect in effects
+    ]
 
 
 def _pairs(plant: Plant, found: list[Place], key: str, where: str) -> list[Place]:

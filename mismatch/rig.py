@@ -373,6 +373,8 @@ def _wrong_times(found: Mapping, plant: Plant) -> Mistakes:
     dt, window = found["sample_time_s"], found.get("window_s")
     if plant.states and not dt <= MOST * plant.step:
         yield "sample_time_s", f"{dt:g} s, {plant.name} takes steps of {plant.step:g} s; take {MOST} a sample at most"
+    if "step_s" in found and plant.outside and plant.outside.fixed:
+        yield "step_s", f"{plant.name} takes no other steps than its own; remove it"
     if window is not None and window < FEWEST * dt:
         yield "window_s", f"{window:g}; give at least {FEWEST} samples, in s"
 

@@ -168,9 +168,10 @@ class Search:
             else:
                 reach = within * scale
                 found.append(Unknown(symbol, p.value, scale, 1.0, p.value - reach, p.value + reach))
-        if self.rig.window:
-            reach = FARTHEST * self.rig.dt
-            found.append(Unknown(TIMING, 0.0, EXACT * self.rig.dt, 1.0, -reach, reach))
+        if TIMING in self.final.model.values:
+            own = self.final.model.each[0].early_by
+            scale, reach = max(EXACT * self.rig.dt, own), max(FARTHEST * self.rig.dt, 2 * own)
+            found.append(Unknown(TIMING, 0.0, scale, 1.0, -reach, reach))
         found += [Unknown(key, 0.0, deviation, 1.0) for key, deviation in self.starts.items()]
         if self.between:
             found.append(Unknown(EARLY, MIDDLE, SPREAD, 1.0, 0.0, MOST_EARLY))
@@ -364,7 +365,7 @@ class Search:
         guesses = {f.symbol: f.guess for f in effect.strengths if f.guess}
         if not guesses:
             if effect.frees:
-                return [{f.symbol: f.typical * m for f in effect.free} for m in GUESSES]
+                return [{f.symbol: f.typical * m for f in effect.strengths} for m in GUESSES]
             return [{}]
         return [dict(zip(guesses, values, strict=True)) for values in product(*guesses.values())]
 

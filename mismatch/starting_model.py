@@ -9,7 +9,7 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.files import replacing_folder
-from greygate.mismatch.model import Model
+from greygate.mismatch.model import TIMING, Model
 from greygate.mismatch.rig import FEWEST, HOLDOUT, IDENTIFY, SHORTEST, Channel, Rig, load
 from greygate.mismatch.scales import memory, noise
 from greygate.mismatch.starting import KEPT, RigStart, listed, write
@@ -38,6 +38,8 @@ OWN = 0.02  # of what a parameter changes, that no other must change: difference
 STEP = 0.1  # of a tolerance, by which a parameter is moved to see what it changes
 SHARED = 0.1  # of another parameter's tolerance, above which moving that does the same is said
 MEMORIES = 2  # of the fastest position, that a window lasts: long enough to see friction, too short to diverge
+HALVED = 3  # times, that a step is halved at most
+BEGUN = 0.5  # of that memory, from which a free run over what is held out takes where it begins
 SHORT = 50  # samples of a window, at least: a fifth of them smooths its first velocity
 STEPS = 10  # of integration in a sample, at least: effects may be quicker than the model
 LOST = 0.5  # of a channel's spread, by which a free run may be off
@@ -95,9 +97,11 @@ def init_rig(path: Path, record: str, model: Path, mapped: Mapping[str, str], tr
         sheet.write(new)
         rig = load(new)
         recording = rig.to_explain()
-        window = _window(log, rig, recording)
-        untold = _untold(Model(replace(rig, channels=_heard(rig, recording), window=window), recording, {}))
-        replace(sheet, window=window, untold=untold).write(new)
+        rig = replace(rig, channels=_heard(rig, recording), window=_window(log, rig, recording))
+        if log.plant.outside and hasattr(log.plant.outside, "early"):
+            rig = replace(rig, plant=replace(rig.plant, step=_finer(rig, recording)))
+            sheet = replace(sheet, step=rig.plant.step if rig.plant.step < log.plant.step else None)
+        replace(sheet, window=rig.window, untold=_untold(Model(rig, recording, {}))).write(new)
     written = ["rig.toml", model.name, IDENTIFY, *([HOLDOUT] if held else [])]
     return {"written": [str(path / n) for n in written], "next": f"greygate diagnose {path}"}
 
@@ -148,9 +152,46 @@ def _window(log: _Log, rig: Rig, recording: Recording) -> int | None:
     off = np.sqrt(np.mean((model.predict(model.values) - model.target) ** 2, axis=0))
     if (off < LOST * np.std(model.target, axis=0)).all():
         return None
-    shortest = min(memory(recording[s]) for s in positions)
-    wanted = SHORT if not np.isfinite(shortest) else max(round(MEMORIES * shortest), SHORT)
+    wanted = max(round(MEMORIES * _shortest([recording[s] for s in positions])), SHORT)
     return max(min(wanted, recording.samples // WINDOWS), FEWEST)
+
+
+def _finer(rig: Rig, recording: Recording) -> float:
+    """The plant's step, or the first of its halves, fourths, eighths that errs by less than the noise.
+
+    A step errs by what half of it changes, but for what a diagnosis allows for: inputs that act early by half a step,
+    and where a window begins. A log that the plant follows more closely than that was made in such steps.
+    """
+    first = rig.dt / max(round(rig.dt / rig.plant.step), 1)
+    before = own = np.empty(0)
+    sigma = np.array([rig.channels[n].sigma for n in rig.predict])
+    for halved in range(HALVED + 1):
+        model = Model(replace(rig, plant=replace(rig.plant, step=first / 2**halved)), recording, {})
+        now = model.predict(model.values | dict.fromkeys({TIMING} & model.values.keys(), model.early_by))
+        off = _bent(now - before, rig.window) if halved else np.inf
+        if np.all(off <= sigma):
+            return first / 2 ** (halved - 1) if halved > 1 else rig.plant.step
+        if halved == 1 and np.all(_bent(model.target - own, rig.window) < off):
+            return rig.plant.step
+        own = own if halved else model.predict(model.values)
+        before = now
+    return first / 2**HALVED
+
+
+def _bent(change: np.ndarray, window: int | None) -> np.ndarray:
+    """RMS of each channel's change (samples, channels), in windows less a straight line in each."""
+    if window:
+        count = len(change) // window
+        parts = change[: count * window].reshape(count, window, -1).swapaxes(0, 1).reshape(window, -1)
+        line = np.vander(np.arange(window), 2)
+        change = (parts - line @ np.linalg.lstsq(line, parts)[0]).reshape(window * count, -1)
+    return np.sqrt(np.mean(change**2, axis=0))
+
+
+def _shortest(signals: Sequence[np.ndarray]) -> float:
+    """Samples after which the fastest of the signals has forgotten where it was; 0 where none moves."""
+    found = min(map(memory, signals))
+    return found if np.isfinite(found) else 0.0
 
 
 def _heard(rig: Rig, recording: Recording) -> dict[str, Channel]:
@@ -217,7 +258,9 @@ class _Sheet:
 
     def _head(self) -> list[str]:
         dt, window = self.kept.dt, self.window
-        settle = not window and self.held
+        begun = max(FEWEST, round(BEGUN * _shortest([self.kept[name] for name in self.log.outputs])))
+        held = self.kept.samples - round(KEPT * self.kept.samples)
+        settle = min(begun, held // WINDOWS) if not window and self.held else 0
         digest = kinds.digest(self.model)
         program = [f'{kinds.TRUST} = "{digest}"  # SHA-256 of {self.model.name}'] if digest else []
         return [
@@ -227,7 +270,7 @@ class _Sheet:
             f"sample_time_s = {dt!r}",
             *([f"step_s = {self.step!r}  # of the integrator"] if self.step else []),
             *([f"window_s = {window * dt:.6g}  # after which a simulation begins anew as recorded"] if window else []),
-            *([f"settle_s = {FEWEST * dt:.6g}  # of {HOLDOUT}: they only give its initial state"] if settle else []),
+            *([f"settle_s = {settle * dt:.6g}  # of {HOLDOUT}: they only give its initial state"] if settle else []),
             f"predict = {listed(self.log.outputs)}  # what a simulation predicts",
             "",
             "[parameters]  # in place of the model's own",

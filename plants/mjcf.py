@@ -23,8 +23,12 @@ from greygate.plants.plant import Equation, Parameter, Plant, State
 Setting = tuple[str, tuple[int, ...], float]
 """An array of MuJoCo's model, an index there, and what the parameter is multiplied with."""
 
+POINT = 1e-9  # m^2: the inertia of a point mass, over its mass
 TORQUE = "torque_"  # before the name of a joint: an input that acts on it
+APPLIED = "applied"  # the term in which it does
 ANGLE, WAY = ("rad", "N m", "kg m^2"), ("m", "N", "kg")  # units of a hinge and of a slide: position, force, inertia
+GRAVITY = "gravity"  # an array of MuJoCo's options
+BODY = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 INERTIAL = ("body_mass", "body_inertia", "body_ipos", "dof_armature")  # after which MuJoCo's constants are set anew
 AXES = ("x", "y", "z")
 ELEMENTS = {"dry_friction": "frictionloss", "viscous_friction": "damping", "spring": "stiffness"}
@@ -112,7 +116,40 @@ class Pair:
     model: Any
     data: Any
     at: tuple[Any, ...]
-    values: dict[str, float] = field(default_factory=dict)
+    values: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Load:
+    """A point mass fixed to a body. symbols: of its mass and its place beside the body's own center of mass (x, y, z).
+
+    own: the parameters of the body itself.
+    """
+
+    body: int
+    symbols: tuple[str, str, str, str]
+    own: tuple[str, ...]
+
+    def place(self, model: Any, values: Mapping[str, float]) -> np.ndarray:
+        """Where it is in the body's frame (3,), the model's body being without it."""
+        return np.array(model.body_ipos[self.body]) + [values[s] for s in self.symbols[1:]]
+
+    def put(self, model: Any, values: Mapping[str, float]) -> None:
+        """Add it to a body that is without."""
+        b, mass, at = self.body, values[self.symbols[0]], self.place(model, values)
+        parts = (float(model.body_mass[b]), np.array(model.body_ipos[b])), (mass, at)
+        whole = parts[0][0] + mass
+        center = sum(m * r for m, r in parts) / whole
+        flat = np.empty(9)
+        _mujoco().mju_quat2Mat(flat, model.body_iquat[b])
+        own = flat.reshape(3, 3)
+        inertia = own * model.body_inertia[b] @ own.T
+        for m, r in parts:
+            inertia = inertia + m * ((r - center) @ (r - center) * np.eye(3) - np.outer(r - center, r - center))
+        moments, axes = np.linalg.eigh(inertia)
+        axes[:, 2] *= np.linalg.det(axes)
+        _mujoco().mju_mat2Quat(model.body_iquat[b], axes.ravel())
+        model.body_mass[b], model.body_ipos[b], model.body_inertia[b] = whole, center, moments
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +167,7 @@ class Simulated:
     own: Collection[str]
     elements: Mapping[tuple[str, str], str]
     controls: tuple[str, ...]
+    loads: tuple[Load, ...]
     fixed: bool = False
     source: str = SOURCE + RUN
     shown: Collection[str] = ()
@@ -142,6 +180,10 @@ class Simulated:
     @property
     def first(self) -> int:
         return self.forced
+
+    @property
+    def early(self) -> float:
+        return 0.0 if int(self.model.opt.integrator) == int(_mujoco().mjtIntegrator.mjINT_RK4) else 0.5
 
     @property
     def parameters(self) -> Collection[str]:
@@ -174,18 +216,42 @@ class Simulated:
         model.opt.disableflags |= _mujoco().mjtDisableBit.mjDSBL_AUTORESET  # what diverges shall say so
         d = _mujoco().MjData(model)
         arrays = (d.qpos, d.qvel, d.act, d.ctrl, d.qfrc_applied, d.qacc)
-        return Pair(model, d, (model._address, d._address, *arrays, model.dof_damping))
+        has = {symbol: _held(model, settings) for symbol, settings in self.settings.items()}
+        return Pair(model, d, (model._address, d._address, *arrays, model.dof_damping), has)
 
     def _set(self, pair: Pair, values: Mapping[str, float]) -> None:
         """Write what has changed since the model had it last."""
-        changed = {s: values[s] for s in self.settings if values[s] != pair.values.get(s)}
+        changed = {s: values[s] for s in self.settings if values[s] != pair.values[s]}
         written = {setting[0] for s in changed for setting in self.settings[s]}
-        for symbol, value in changed.items():
-            for name, index, factor in self.settings[symbol]:
-                getattr(pair.model, name)[index] = factor * value
-        if pair.values and written & {*INERTIAL}:
+        self._write(pair.model, changed)
+        for load in self.loads:
+            if changed.keys() & {*load.symbols, *load.own} and (
+                values[load.symbols[0]] or pair.values[load.symbols[0]]
+            ):
+                for name in BODY:
+                    getattr(pair.model, name)[load.body] = getattr(self.model, name)[load.body]
+                other = {s: values[s] for s in load.own if values[s] != _held(self.model, self.settings[s])}
+                self._write(pair.model, other)
+                if values[load.symbols[0]]:
+                    load.put(pair.model, values)
+                written.add(INERTIAL[0])
+        if written & {*INERTIAL}:
             _mujoco().mj_setConst(pair.model, pair.data)
         pair.values.update(changed)
+
+    def _write(self, model: Any, values: Mapping[str, float]) -> None:
+        for symbol, value in values.items():
+            for name, index, factor in self.settings[symbol]:
+                _array(model, name)[index] = factor * value
+
+
+def _array(model: Any, name: str) -> Any:
+    return model.opt.gravity if name == GRAVITY else getattr(model, name)
+
+
+def _held(model: Any, settings: Sequence[Setting]) -> float:
+    """The value of a parameter that the model has; 0 for one that stands nowhere in it."""
+    return next((float(_array(model, name)[index]) / factor for name, index, factor in settings), 0.0)
 
 
 @cache
@@ -262,6 +328,12 @@ def corrected(plant: Plant, values: Mapping[str, float]) -> str:
         if values[symbol] != plant.parameters[symbol].value:
             for name, index, factor in settings:
                 _write(spec, model, name, index, factor * values[symbol])
+    for carried in plant.outside.loads:
+        if mass := values[carried.symbols[0]]:
+            body = next(b for b in spec.bodies if b.id == carried.body)
+            at = [values[s] + values[p] for s, p in zip(carried.symbols[1:], carried.own[-3:], strict=True)]
+            point = body.add_body(name=carried.symbols[0], pos=at)
+            point.explicitinertial, point.mass, point.ipos, point.inertia = True, mass, [0.0] * 3, [POINT * mass] * 3
     try:
         return str(spec.to_xml())
     except ValueError as error:
@@ -270,6 +342,9 @@ def corrected(plant: Plant, values: Mapping[str, float]) -> str:
 
 def _write(spec: Any, model: Any, name: str, index: tuple[int, ...], value: float) -> None:
     """Write one number of a compiled model into its specification."""
+    if name == GRAVITY:
+        spec.option.gravity[index[0]] = value
+        return
     kind, _, field_ = name.partition("_")
     elements = {"dof": spec.joints, "jnt": spec.joints, "body": spec.bodies, "actuator": spec.actuators}[kind]
     element = next(e for e in elements if e.id == index[0])
@@ -388,6 +463,8 @@ class _Reading:
         self.inputs: dict[str, str] = {}
         self.states: dict[str, State] = {}
         self.terms: list[dict[str, str]] = [{} for _ in self.joints]
+        self.elements: dict[tuple[str, str], str] = {}
+        self.loads: list[Load] = []
         torques = [TORQUE + j for j in self.joints]
         self.torques = [t for t in torques if t in recorded and not set(self.actuators) & set(recorded)]
 
@@ -404,22 +481,19 @@ class _Reading:
         for name in self.torques:
             j = self.joints.index(name.removeprefix(TORQUE))
             self.inputs[name] = self.units[j][1]
-            self.terms[j]["applied"] = name
+            self.parameters[f"gain_{name}"] = Parameter(1.0, "1")  # of the motor, or the sensor, that the log has it of
+            self.terms[j][APPLIED] = f"gain_{name} * {name}"
         model = self.model.__copy__()
         if self.torques:
             model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_ACTUATION
         controls = ["" for _ in range(model.nu)]
         for a, name in enumerate(self.actuators if not self.torques else ()):
             controls[self._address(a)] = name
-        elements = {
-            (effect, f"motion_{j}"): f"{name}_{j}"
-            for j in self.joints
-            for effect, name in ELEMENTS.items()
-            if f"{name}_{j}" in self.settings
-        }
+        self._gravity()
         outside = Simulated(
-            self.path, model, tuple(self.states), len(self.joints), self.settings, own, elements, tuple(controls)
-        )
+            self.path, model, tuple(self.states), len(self.joints), self.settings, own, self.elements, tuple(controls),
+            tuple(self.loads),
+        )  # fmt: skip
         return Plant(
             self.path.stem, self.parameters, self.inputs, self.states, self._equations(activations),
             outputs=tuple(self.states), step=float(model.opt.timestep), outside=outside,
@@ -450,9 +524,7 @@ class _Reading:
 
     def _enter(self, symbol: str, unit: str, *settings: Setting) -> str:
         """A parameter with the value that it has in the model; its symbol."""
-        name, index, factor = settings[0]
-        value = float(getattr(self.model, name)[index]) / factor
-        self.parameters[symbol] = Parameter(value, unit)
+        self.parameters[symbol] = Parameter(_held(self.model, settings), unit)
         self.settings[symbol] = settings
         return symbol
 
@@ -465,6 +537,7 @@ class _Reading:
             loss = self._enter(f"frictionloss_{name}", force, ("dof_frictionloss", (j,), 1.0))
             terms["frictionloss"] = f"-{loss} * sign({v})"
             stiffness = self._enter(f"stiffness_{name}", _over(force, way), ("jnt_stiffness", (j,), 1.0))
+            self.elements |= {(effect, f"motion_{name}"): f"{own}_{name}" for effect, own in ELEMENTS.items()}
             terms["stiffness"] = f"-{stiffness} * ({name} - {float(self.model.qpos_spring[j])!r})"
 
     def _bodies(self) -> None:
@@ -476,8 +549,36 @@ class _Reading:
                 largest = sorted(range(len(AXES)), key=lambda i: -moments[i])  # of which the others stay a share
                 shares = [("body_inertia", (b, i), float(moments[i] / moments.max())) for i in largest]
                 self._enter(f"inertia_{name}", "kg m^2", *shares)
-                for i, axis in enumerate(AXES):
-                    self._enter(f"ipos_{axis}_{name}", "m", ("body_ipos", (b, i), 1.0))
+                places = [
+                    self._enter(f"ipos_{axis}_{name}", "m", ("body_ipos", (b, i), 1.0)) for i, axis in enumerate(AXES)
+                ]
+                if self._last(b):
+                    self._load(b, name, (f"mass_{name}", f"inertia_{name}", *places))
+
+    def _last(self, b: int) -> bool:
+        """Whether no other body moves on this one, which has a joint."""
+        model = self.model
+        on = [
+            int(model.body_weldid[model.body_parentid[c]]) for c in range(1, model.nbody) if model.body_weldid[c] == c
+        ]
+        return bool(model.body_jntnum[b]) and b not in on
+
+    def _load(self, b: int, name: str, own: Sequence[str]) -> None:
+        """A load that the model has not, fixed to a body."""
+        x, y, z = (f"payload_{axis}_{name}" for axis in AXES)
+        symbols = (f"payload_{name}", x, y, z)
+        for symbol, unit in zip(symbols, ("kg", "m", "m", "m"), strict=True):
+            self._enter(symbol, unit)
+        self.loads.append(Load(b, symbols, tuple(own)))
+        self.elements["payload", f"motion_{self.joints[int(self.model.body_jntadr[b])]}"] = symbols[0]
+
+    def _gravity(self) -> None:
+        """Its components; of a tilted base those that are 0 are not."""
+        gravity = self.model.opt.gravity
+        for i, axis in enumerate(AXES):
+            symbol = self._enter(f"gravity_{axis}", "m/s^2", (GRAVITY, (i,), 1.0))
+            if gravity.any() and not gravity[i]:
+                self.elements[symbol, f"motion_{self.joints[0]}"] = symbol
 
     def _actuator(self, a: int) -> None:
         """Its control as an input; its parameters and its force, where it is a simple one on a joint."""

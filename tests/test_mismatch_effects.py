@@ -253,7 +253,7 @@ CLASHES = {
     "what it frees is none": (replace(OWN, free=(Free("dry", 1.0),), frees=True, terms={}), "frees dry: plant car has"),
     "sensor of nothing": (replace(OWN, terms={"sensor_p.own": "own_k"}), "sensor_p: plant car has no signal p"),
     "sensor that reads another": (
-        replace(OWN, terms={"sensor_z_b.own": "own_k * z_w"}), "unknown name 'z_w'; use z_b and parameters"),
+        replace(OWN, terms={"sensor_z_b.own": "own_k * z_w"}), "unknown name 'z_w'; use z_b, inputs and parameters"),
 }  # fmt: skip
 
 

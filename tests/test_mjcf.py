@@ -1,6 +1,9 @@
 """A MuJoCo model as a plant: it moves as MuJoCo moves it, effects act on its joints, files stay where they are."""
 
+import importlib
 import json
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -229,6 +232,21 @@ def test_a_rig_from_a_model_and_a_log_runs_at_once(greygate, tmp_path, monkeypat
     assert all(e["rms"] < 1e-6 for e in json.loads(printed)["rms"].values())
 
 
+def test_steps_that_err_by_more_than_the_noise_are_made_finer(greygate, tmp_path, monkeypatch):
+    """Euler's steps of 5 ms are, for they err by half of that, but no log that was made in such steps."""
+    monkeypatch.chdir(tmp_path)
+    given, path = inputs(["m1", "m2"]), write(tmp_path)
+    log(tmp_path, path, given)
+    coarse = tmp_path / "coarse.xml"
+    coarse.write_text(path.read_text().replace('timestep="0.001"', 'timestep="0.005"').replace('kp="2"', 'kp="1.9"'))
+    for name in ("fine", "own"):
+        words = ("init-rig", "log.csv", "--model", "coarse.xml", "--out", name, *MAPPED)
+        assert greygate(*words)[0] == 0
+        log(tmp_path, coarse, given)
+    assert load("fine").plant.step < 0.005
+    assert load("own").plant.step == 0.005
+
+
 def test_a_run_that_loses_the_recording_begins_anew_in_windows(greygate, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = inputs(["m1", "m2"])
@@ -321,6 +339,8 @@ def said(rig, effects, parameters):
         ("inertia_upper", 0.006),
         ("ipos_z_lower", -0.12),
         ("damping_shoulder", 0.1),
+        ("payload_lower", 0.2),
+        ("gravity_x", 0.5),
     ],
 )
 def test_a_corrected_model_loads_and_moves_as_the_corrected_simulation(greygate, tmp_path, monkeypatch, symbol, value):
@@ -339,23 +359,38 @@ def test_a_corrected_model_loads_and_moves_as_the_corrected_simulation(greygate,
     assert np.abs(found["el_bow"] - wanted[:, 1]).max() < 1e-6 * np.ptp(wanted[:, 1])
 
 
-def test_what_mjcf_has_no_element_for_is_a_callback_that_moves_as_the_simulation(greygate, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("effect", "parameters", "term"),
+    [
+        ("square_damping_el_bow", {"c2_v_el_bow": 0.3}, "square_damping_el_bow.square_damping"),
+        (  # with a state of its own
+            "dry_friction_el_bow",
+            {"f_v_el_bow": 0.2, "f_v_el_bow_yield": 0.02},
+            "dry_friction_elastic_el_bow.dry_friction_elastic",
+        ),
+    ],
+)
+def test_what_mjcf_has_no_element_for_is_a_callback_that_moves_as_the_simulation(
+    greygate, tmp_path, monkeypatch, effect, parameters, term
+):
     monkeypatch.chdir(tmp_path)
     given = inputs(["m1", "m2"])
     log(tmp_path, write(tmp_path), given)
     assert greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm", *MAPPED)[0] == 0
-    effect = {"id": "square_damping_el_bow", "parameters": {"c2_v_el_bow": {"value": 0.3}}}
-    (tmp_path / "d.json").write_text(json.dumps(said(load("arm"), [effect], {})))
+    entry = {
+        "id": effect,
+        "form": term.partition(".")[0],
+        "parameters": {s: {"value": v} for s, v in parameters.items()},
+    }
+    (tmp_path / "d.json").write_text(json.dumps(said(load("arm"), [entry], {})))
     code, printed, err = greygate("export", "mjcf", "arm", "--out", "new.xml", "--diagnosis", "d.json", "--json")
     assert code == 0, err
-    assert [joint["left"] for joint in json.loads(printed)["joints"]] == [
-        [],
-        ["square_damping_el_bow.square_damping"],
-    ]
+    assert [joint["left"] for joint in json.loads(printed)["joints"]] == [[], [term]]
     assert greygate("simulate", "arm", "arm/identify.csv", "--diagnosis", "d.json", "--out", "sim.csv")[0] == 0
     found = np.genfromtxt("sim.csv", delimiter=",", names=True)["el_bow"]
     monkeypatch.syspath_prepend(tmp_path)
-    import new
+    monkeypatch.delitem(sys.modules, "new", raising=False)
+    new = importlib.import_module("new")
 
     try:
         wanted = stepped(tmp_path / "new.xml", given, loaded=new.install)[: len(found), 1]
@@ -370,12 +405,55 @@ def test_what_mjcf_has_no_element_for_is_a_callback_that_moves_as_the_simulation
     )  # one takes the force where a step begins, one where it ends
 
 
+def test_a_payload_is_a_point_mass_of_its_own_body(tmp_path):
+    """Mass, center and moments of what moves together are those that MuJoCo makes of two bodies."""
+    plant, given = mjcf.read(write(tmp_path), ["m1", "m2"]), inputs(["m1", "m2"])
+    values = {"payload_lower": 0.3, "payload_x_lower": 0.04, "payload_y_lower": -0.03, "payload_z_lower": -0.1}
+    parameters = plant.parameters | {s: replace(plant.parameters[s], value=v) for s, v in values.items()}
+    found = simulate(replace(plant, parameters=parameters), given, sample_time=DT, step=plant.step)["el_bow"]
+    path = tmp_path / "loaded.xml"
+    load = '<body pos="0.04 -0.03 -0.25"><inertial pos="0 0 0" mass="0.3" diaginertia="1e-9 1e-9 1e-9"/></body>'
+    path.write_text((tmp_path / "arm.xml").read_text().replace("</body>", f"{load}</body>", 1))
+    wanted = stepped(path, given)[:, 1]
+    assert np.abs(found - stepped(tmp_path / "arm.xml", given)[:, 1]).max() > 0.05
+    assert np.abs(found - wanted).max() < 1e-6
+    assert np.array_equal(simulate(plant, given, sample_time=DT, step=plant.step)["el_bow"],
+                          stepped(tmp_path / "arm.xml", given)[:, 1])  # and back  # fmt: skip
+
+
+def test_loads_and_a_tilted_base_are_offered_where_the_model_has_none(tmp_path):
+    path = write(tmp_path)
+    rig = record(tmp_path, path)
+    known = general(rig, rig.to_explain())
+    assert [f.symbol for f in known["payload"].free] == [
+        "payload_lower", "payload_x_lower", "payload_y_lower", "payload_z_lower",
+    ]  # fmt: skip
+    assert [known[key].free[0].symbol for key in ("tilt_gravity_x", "tilt_gravity_y")] == ["gravity_x", "gravity_y"]
+    assert {"ripple_shoulder", "ripple_el_bow"} <= {*known}
+    assert known["gear_play"].terms.keys() == {"sensor_shoulder.gear_play"}  # the other's servo asks for speed
+
+
+@pytest.mark.parametrize("bad", ["nan", "inf", "x"])
+def test_what_is_no_number_in_the_middle_of_a_log_is_refused_in_one_line(greygate, tmp_path, monkeypatch, bad):
+    monkeypatch.chdir(tmp_path)
+    log(tmp_path, write(tmp_path), inputs(["m1", "m2"]))
+    lines = (tmp_path / "log.csv").read_text().splitlines()
+    lines[300] = ",".join([*lines[300].split(",")[:-1], bad])
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    code, _, err = greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm", *MAPPED)
+    assert code == 2
+    assert "q2" in err
+    assert len(err.strip().splitlines()) == 1
+    assert not (tmp_path / "arm").exists()
+
+
 def test_mujocos_own_element_is_what_is_named_where_it_has_one(tmp_path):
     """Dry friction, damping and a spring have one name in a model: not frictionloss here and f_v there."""
     path = write(tmp_path, loss=0.0, damping=0.0)
     rig = record(tmp_path, path)
     known = general(rig, rig.to_explain())
-    frees = {key: [f.symbol for f in e.free] for key, e in known.items() if e.frees}
+    released = {key: [f.symbol for f in e.free] for key, e in known.items() if e.frees}
+    frees = {key: symbols for key, symbols in released.items() if not key.startswith(("payload", "tilt"))}
     assert frees == {
         "dry_friction_shoulder": ["frictionloss_shoulder"], "dry_friction_el_bow": ["frictionloss_el_bow"],
         "viscous_friction_shoulder": ["damping_shoulder"], "viscous_friction_el_bow": ["damping_el_bow"],
