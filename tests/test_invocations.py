@@ -51,7 +51,6 @@ GOOD = {
     "dev reveal": ["rig"],
     "build-snn": ["rig/rig.toml", "rig/identify.csv", "--out", "new"],
     "identify": ["rig/identify.csv", "--input", "x_drum", "--output", "x_load", "--out", "new"],
-    "fit-fmu": ["none.fmu", "a.csv", "--parameter", "k", "--trust"],
     "export c": ["build", "--out", "new"],
     "export fmu": ["build", "--out", "new.fmu"],
     "export fusesoc": ["build", "--out", "new"],

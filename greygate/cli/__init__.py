@@ -31,7 +31,7 @@ COMMANDS = {  # heading -> commands; those for developers are a group
         *(builds.report, builds.compare, boards.board, boards.play),
     ),
     "Diagnosis": (rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment),
-    "Other tools": (rigs.fit_fmu, tools.ci_template, tools.doctor),
+    "Other tools": (tools.ci_template, tools.doctor),
     DEVELOPERS: (rigs.conceal, rigs.reveal, tools.schema),
 }
 

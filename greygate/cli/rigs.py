@@ -229,37 +229,3 @@ def reveal(
 
     found, lines, right = score(folder, diagnosis, effects)
     give("reveal", found, as_json, lines, right)
-
-
-def fit_fmu(
-    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="FMU for co-simulation, FMI 2.0 or 3.0.")],
-    recording: words.Recording,
-    parameter: Annotated[list[str], typer.Option(metavar="NAME", help="A parameter to fit.")] = [],
-    trust: Annotated[bool, typer.Option("--trust", help="Run the FMU: it is a program of whoever made it.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Fit an FMU to a recording, which may be late, off or scaled.
-
-    The recording has every input of the FMU, and outputs. The last part of the recording is held out, and judges.
-    """
-    from greygate.export.calibrate import calibrate
-
-    if not trust:
-        raise InputError(f"{fmu}: an FMU is a program and runs with your rights; if you trust its maker, give --trust")
-    with following("fitting") as progress:
-        found = calibrate(fmu, recording, parameter, progress)
-    lines = [
-        f"{n:16} {p['value']:.6g} [{p['interval'][0]:.6g}, {p['interval'][1]:.6g}] {p['unit']}  (start {p['start']:g})"
-        for n, p in found["parameters"].items()
-    ]
-    for n, e in found["rms"].items():
-        parts = ", ".join(
-            f"{word.replace('_', ' ')} {e[word]['held_out']:.4g}" for word in ("start", "calibrated", "with_faults")
-        )
-        lines.append(f"{n:16} RMS held out {e['unit']}: {parts}")
-    for f in found["faults"]:
-        low, high = f["interval"]
-        lines.append(
-            f"the recording     {f['kind']} of {f['channel']}: {f['size']:.4g} [{low:.4g}, {high:.4g}] {f['unit']}"
-        )
-    give("fit-fmu", found, as_json, [*lines, f"cannot show       {found['cannot_show']}"])
