@@ -544,10 +544,12 @@ def first_rate(signal: np.ndarray, sigma: float) -> tuple[float, float]:
         some = signal[:count]
         columns = np.vander(np.arange(len(some)), PARABOLA + 1)
         parabola = np.linalg.lstsq(columns, some)[0]
+        freedom = len(some) - PARABOLA - 1
         left = np.sum((some - columns @ parabola) ** 2) / sigma**2
-        if count > FEWEST_FIRST and left > chdtri(len(some) - PARABOLA - 1, STRAYS):
+        if count > FEWEST_FIRST and left > chdtri(freedom, STRAYS):
             break
-        away = sigma * np.sqrt(np.linalg.inv(columns.T @ columns)[-2, -2])
+        size = sigma * max(1.0, np.sqrt(left / freedom))
+        away = size * np.sqrt(np.linalg.inv(columns.T @ columns)[-2, -2])
         found, count = (float(parabola[-2]), float(away)), count + max(count // 2, 1)
     return found
 
