@@ -81,8 +81,9 @@ def init_rig(path: Path, record: str, model: Path, mapped: Mapping[str, str], tr
         kinds.trust(model)
     log = _matched(recording, model, mapped)
     split = int(KEPT * recording.samples)
-    timed = log.plant.outside is not None and log.plant.outside.timed  # what was held out would begin at 0 again
-    held = not timed and recording.samples - split >= 2 * FEWEST and split >= SHORTEST
+    outside = log.plant.outside
+    anew = outside is None or not (outside.timed or outside.whole)  # whether what is held out may begin a run
+    held = anew and recording.samples - split >= 2 * FEWEST and split >= SHORTEST
     names = [*log.inputs, *log.outputs]
     units = {name: log.plant.unit(name) for name in names}
     kept = Recording(recording.dt, {n: recording[log.columns[n]] for n in names}, units, source=record)

@@ -476,6 +476,7 @@ def test_events_that_nobody_records_forbid_windows(tmp_path):
     rig, _ = started(tmp_path)
     sheet = (rig / "rig.toml").read_text()
     assert "window_s" not in sheet
+    assert not (rig / "holdout.csv").exists()
     (rig / "rig.toml").write_text(sheet.replace("predict =", "window_s = 0.5\npredict ="))
     code, _, told = greygate("simulate", rig, rig / "identify.csv", "--out", tmp_path / "out.csv")
     assert (code, told.count("\n")) == (2, 1)
