@@ -237,7 +237,7 @@ def started(folder, *more):
     return folder / "rig", out
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", [VERSIONS[0], *(pytest.param(v, marks=pytest.mark.nightly) for v in VERSIONS[1:])])
 def test_dry_friction_that_an_fmu_lacks_is_named(tmp_path, version):
     written(tmp_path, version=version)
     recorded(tmp_path, fmus.PRESS, "-0.8 * tanh(v / 0.005)", stiffness=52.0)

@@ -287,7 +287,10 @@ def few(rig, keys=("dry_friction", "spring", "constant_load")):
     return {k: e for k, e in general(rig, rig.to_explain()).items() if e.id in keys}
 
 
-@pytest.mark.parametrize(("function", "compiled", "dt"), [(rates, True, STEP), (slow_euler, False, DT)])
+@pytest.mark.parametrize(
+    ("function", "compiled", "dt"),
+    [(rates, True, STEP), pytest.param(slow_euler, False, DT, marks=pytest.mark.nightly)],
+)
 def test_dry_friction_that_a_function_has_not_is_found_in_newtons(function, compiled, dt):
     plant = cart(function, compiled, dt=dt)
     recording, holdout = recorded(plant=plant), recorded(1, plant=plant)
