@@ -37,6 +37,7 @@ def places(rig: Rig) -> dict[str, list[Place]]:
         "drive": (driven := [p | {"drive": drive} for p in moving if (drive := _drive(rig, p["motion"]))]),
         "geared": [place for place in driven if place.get("x") in rig.predict and _known(plant, place)],
         "s": stored,
+        "heat": [place for place in stored if plant.unit(place["s"]) == "K"],
         "load": _elements(plant, LOADS),
         "tilt": _elements(plant, TILTS),
         "pair": _pairs(plant, stored, "s", "balance"),

@@ -39,7 +39,6 @@ UNMET = {
     "several": "there is no other channel of its kind beside {}",
     "beside": "there is no input, and no other channel, beside {}",
     "recorded": "{} is not recorded",
-    "kelvin": "{} is no temperature in K",
     "moves": "{} never moves",
     "turns": "{} never reverses",
     "both_signs": "{} never changes its sign",
@@ -253,8 +252,6 @@ class Seen:
         if kind == "recorded":
             return name in self.recorded
         state = self.rig.plant.states.get(name)
-        if kind == "kelvin":
-            return bool(state and state.unit == "K")
         if kind == "may_be_negative":
             return not (state and isinstance(state.low, float) and state.low >= 0)
         tests = {
