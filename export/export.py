@@ -123,8 +123,9 @@ def _joint(plant: Plant, made: Corrected, place: str, equation: Equation) -> Joi
 def _written(plant: Plant) -> Plant:
     """The plant, if its equations are written down. Raises InputError where a model from outside computes them."""
     if plant.outside is not None:
+        kind = "mjcf" if isinstance(plant.outside, mjcf_model.Simulated) else "fmu"
         raise InputError(f"plant {plant.name}: a model computes it, which has no equations here; `greygate export "
-                         "fmu` or `export mjcf` writes that model corrected")  # fmt: skip
+                         f"{kind}` writes that model corrected")  # fmt: skip
     return plant
 
 

@@ -164,7 +164,12 @@ def _named(rig: Rig, diagnosis: Mapping, kinds: Kinds) -> tuple[Effect, dict[str
     if diagnosis["plant"] != plant:
         raise InputError(f"diagnosis: is of {diagnosis['plant']}, the rig is {plant}; give the rig's own")
     if plant not in kinds:
-        raise InputError(f"augment: {plant} has no structured network; these have one: {', '.join(kinds)}")
+        wish = (
+            "`greygate identify` builds one from a recording"
+            if rig.plant.outside
+            else f"these have one: {', '.join(kinds)}"
+        )
+        raise InputError(f"augment: {plant} has no structured network; {wish}")
     names = [entry["id"] for entry in diagnosis["effects"]]
     known = kinds[plant].effects
     if len(names) != 1 or names[0] not in known:

@@ -39,6 +39,9 @@ class Task:
 
         Raises InputError for a signal that is not there or a plant that no network is made of.
         """
+        if plant.outside is not None:
+            why = "a model computes it, which has no equations here to build from"
+            raise InputError(f"plant {plant.name}: {why}; `greygate identify` builds from the recordings alone")
         step, recorded = recordings[0].dt, set(recordings[0].channels)
         for recording in recordings:
             if recording.samples < SHORTEST:

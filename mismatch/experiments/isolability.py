@@ -136,12 +136,12 @@ def isolability(search: Search) -> Isolability:
     for effect in search.effects.values():
         effects.setdefault(effect.id, effect)
     rows = _coordinates(fit, {name: moved(fit, effect) for name, effect in effects.items()})
-    sizes = {name: float(np.sqrt(np.max(np.sum(columns**2, axis=0)))) for name, columns in rows.items()}
+    sizes = {name: float(_lengths(columns).max()) for name, columns in rows.items()}
     seen = [name for name, size in sizes.items() if size > NEEDED]
     apart = {}
     for pair in combinations(seen, 2):
         ways = (pair, pair[::-1])
-        apart[pair] = min(_left(rows[a], rows[b], _reach(effects[b])) / max(NEEDED, FORM * sizes[a]) for a, b in ways)
+        apart[pair] = min(_left(_own(rows[a]), rows[b], _reach(effects[b])) / _least(rows[a]) for a, b in ways)
     groups = []
     for names in _groups(seen, apart):
         pair = min(combinations(names, 2), key=lambda pair: apart[pair])
@@ -205,6 +205,21 @@ def _coordinates(fit: Fit, rows: Mapping[str, np.ndarray]) -> dict[str, np.ndarr
     left = np.linalg.qr(stacked - basis @ (basis.T @ stacked), mode="r")
     at = np.cumsum([columns.shape[1] for columns in rows.values()])[:-1]
     return dict(zip(rows, np.split(left, at, axis=1), strict=True))
+
+
+def _lengths(columns: np.ndarray) -> np.ndarray:
+    """(n,) of columns, in standard deviations of the noise."""
+    return np.sqrt(np.sum(columns**2, axis=0))
+
+
+def _least(columns: np.ndarray) -> float:
+    """Of what may be left of an effect, the least that tells it."""
+    return max(NEEDED, FORM * float(_lengths(columns).max()))
+
+
+def _own(columns: np.ndarray) -> np.ndarray:
+    """Those of an effect that the parameters do not take up: the others are like nothing, not like other effects."""
+    return columns[:, _lengths(columns) > _least(columns)]
 
 
 def _left(columns: np.ndarray, others: np.ndarray, reach: tuple[np.ndarray, np.ndarray]) -> float:
