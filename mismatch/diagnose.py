@@ -374,7 +374,9 @@ def _led_back(state: State) -> State:
     if state.open or state.search.rig.window:
         return state
     again = fit.likelihood.fit(fit.unknowns, fit.values, fit.shifts, iterations=LED_BACK, both=True)
-    return replace(state, found=replace(state.found, fit=min(fit, again, key=lambda f: f.cost)))
+    fit = min(fit, again, key=lambda f: f.cost)
+    claims = state.claims if state.found.best.size else replace(state.claims, calibrated=fit)
+    return replace(state, claims=claims, found=replace(state.found, fit=fit))
 
 
 def _closed(state: State) -> State:
