@@ -1,6 +1,7 @@
 """Commands on rigs whose plant a model computes: each works, or says in one line which other does."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,10 @@ from command_line import greygate
 from greygate.errors import InputError
 from greygate.identify.expert.task import Task
 from greygate.mismatch.diagnosis import READ
+from greygate.mismatch.explain import table_of
+from greygate.mismatch.rig import load
+from greygate.pages.diagnosis import advice
+from greygate.pages.diagnosis.sections import adds
 from greygate.plants.python import Simulator
 from greygate.plants.recording import Recording
 
@@ -110,3 +115,18 @@ def test_the_next_experiment_on_a_model_stays_within_what_was_recorded(folder, t
     motor, asked = (np.genfromtxt(p, delimiter=",", names=True)["motor"] for p in (folder / "arm/identify.csv", out))
     assert np.abs(asked).max() <= np.abs(motor).max()
     assert np.ptp(asked) > 0.1 * np.ptp(motor)
+
+
+def test_the_page_shows_what_an_effect_adds_and_how_to_take_the_model_along(folder):
+    rig = load(folder / "arm")
+    search = SimpleNamespace(effects=table_of([], rig, rig.to_explain()))
+    result, entry = SimpleNamespace(rig=rig, search=search), {"id": "load_friction"}
+    assert adds(result, DIAGNOSIS["effects"][0]) == ["the model's own frictionloss_hinge"]
+    (text,) = adds(result, entry)
+    assert text.startswith("motion_hinge: + (-mu_v_hinge * abs(")
+    assert adds(result, {"id": "unknown"}) == []
+    found = {**DIAGNOSIS, "effects": [{**DIAGNOSIS["effects"][0], "not_told_apart_from": []}]}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(advice.words, "alike", lambda *_: [])
+        told = advice.steps(SimpleNamespace(found=found, result=SimpleNamespace(rig=rig)))[1]
+    assert f"greygate export mjcf {folder / 'arm'} --diagnosis FILE.json --out CORRECTED.xml" in told

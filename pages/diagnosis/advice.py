@@ -38,6 +38,10 @@ def _by_verdict(case: Diagnosed) -> Iterator[str]:
             yield "Look at the pictures below for what the error goes with; write what you suspect into effects.toml."
         case _:
             yield f"Simulate with {' and '.join(named)}: greygate simulate {folder} FILE.csv --diagnosis FILE.json."
+            if path := getattr(case.result.rig.plant.outside, "path", None):
+                kind, end = ("fmu", ".fmu") if path.suffix == ".fmu" else ("mjcf", ".xml")
+                wish = f"greygate export {kind} {folder} --diagnosis FILE.json --out CORRECTED{end}"
+                yield f"Take the corrected model along: {wish}."
 
 
 def _further(case: Diagnosed) -> Iterator[str]:

@@ -389,7 +389,7 @@ def numbers(case: Diagnosed) -> dict:
     """Effects with their parameters, the fit, and open questions."""
     result, found = case.result, case.found
     return {
-        "effects": [(e, words.means(result, e), amounts(e["parameters"])) for e in found["effects"]],
+        "effects": [(e, words.means(result, e), adds(result, e), amounts(e["parameters"])) for e in found["effects"]],
         "parameters": [*fitted(result, found)],
         "fit": words.fit_rows(found["fit"]),
         "resampled": [(n, own["resampled"]) for n, own in found.get("recordings", {}).items() if "resampled" in own],
@@ -415,6 +415,16 @@ def fitted(result: Diagnosis, found: Mapping) -> Iterator[tuple[str, words.Amoun
             name = f"{symbol} in {run}" if run else symbol
             known = words.given(sheet[symbol], p["value"])
             yield name, amount(p["value"], p["ci95"], p["unit"]), known, p.get("outside_tolerance", False)
+
+
+def adds(result: Diagnosis, entry: Mapping) -> list[str]:
+    """What an effect of the table adds to the equations, or which parameters of the model that computes them it is."""
+    effect, outside = result.search.effects.get(entry.get("form", entry["id"])), result.rig.plant.outside
+    if effect is None:
+        return []
+    own = [f.reported for f in effect.free if outside and f.symbol in outside.parameters]
+    added = [f"{path.partition('.')[0]}: + ({text})" for path, text in effect.terms.items()]
+    return [*added, *([f"the model's own {', '.join(own)}"] if own else [])]
 
 
 def amounts(parameters: Mapping) -> list[tuple[str, words.Amount, str]]:
