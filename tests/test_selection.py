@@ -407,6 +407,6 @@ def test_a_free_run_is_lost_where_one_channel_errs_by_more_than_three_tenths_of_
 
 
 def test_a_parameter_that_an_effect_frees_is_tried_at_a_third_of_its_typical_size_and_at_three_times():
-    free = SimpleNamespace(symbol="k", typical=10.0)
-    points = Search.points(None, SimpleNamespace(strengths=(), frees=("k",), free=(free,)))
+    free = SimpleNamespace(symbol="k", typical=10.0, guess=())
+    points = Search.points(None, SimpleNamespace(strengths=(free,), frees=("k",), free=(free,)))
     assert points == [{"k": pytest.approx(size)} for size in (3.0, 10.0, 30.0)]
