@@ -22,6 +22,7 @@ EXPERIMENTS = {
 """Variable -> the experiment in which it alone changes, for the variables of any motion; plants add their own."""
 
 DIVERGES = "diverges"  # in place of the error of a simulation that does not stay finite
+ALONE = " alone"  # after a recording, which there was no time to ask by itself
 FEW = 5  # hypotheses that are named of those for which there was no time
 SIMULATED = 3  # number of alternatives for which simulation finds an experiment
 
@@ -67,7 +68,7 @@ def lines(result: Diagnosis) -> list[str]:
     seconds = result.calibrated.likelihood.model.recording.samples * result.rig.dt
     out = [
         f"{result.rig.folder.resolve().name} ({found['plant']}), {seconds:.4g} s of recording",
-        Verdict(found["verdict"]).words,
+        sentence(found),
     ]
     for i, (place, acts) in enumerate(where(found)):
         out.append(row("" if i else "where", place))
@@ -110,6 +111,14 @@ def lines(result: Diagnosis) -> list[str]:
         out.append(row("" if i else "noise", text))
     out.append(row("remains", found["remaining"] or nothing_left(result)))
     return [*out, f"{found['seconds']:.1f} s"]
+
+
+def sentence(found: Mapping) -> str:
+    """The verdict in a sentence; that nothing explains is not said where hypotheses were left untried."""
+    verdict, left = Verdict(found["verdict"]), found.get("not_tried", ())
+    if verdict == Verdict.UNEXPLAINED and any(not what.endswith(ALONE) for what in left):
+        return "unexplained: something is missing, and there was no time to try every effect: give more --seconds"
+    return verdict.words
 
 
 def alone(found: Mapping) -> str:

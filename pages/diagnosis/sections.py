@@ -14,7 +14,7 @@ from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.places import unit_of_place
 from greygate.mismatch.selection import APART
 from greygate.mismatch.verdict import Verdict
-from greygate.mismatch.words import DIVERGES, amount, means, parameter
+from greygate.mismatch.words import DIVERGES, amount, means, parameter, sentence
 from greygate.models.drawn import shortened
 from greygate.pages import figures
 from greygate.pages.diagnosis import advice
@@ -33,7 +33,7 @@ def head(case: Diagnosed) -> dict:
     return {
         "title": case.title,
         "plant": case.found["plant"],
-        "sentence": Verdict(case.found["verdict"]).words,
+        "sentence": sentence(case.found),
         "facts": facts(case),
         "rivals": sum(map(math.isfinite, case.result.rivals.values())) > 1,
         "steps": advice.steps(case),
