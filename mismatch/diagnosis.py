@@ -97,6 +97,7 @@ class Diagnosis:
                 "fit": self.fits,
                 "remaining": self._remaining(),
                 **({"recordings": own} if (own := self._recordings()) else {}),
+                **({"begins": begun} if (begun := self._begins()) else {}),
                 **({"explained": round(self.explained, DIGITS)} if self.verdict == Verdict.PARTLY_EXPLAINED else {}),
                 **({"refused": self.refused} if self.refused else {}),
                 **({"not_tried": [*self.search.untried]} if self.search.untried else {}),
@@ -288,6 +289,14 @@ class Diagnosis:
         unknown = next(u for u in self.corrected.unknowns if u.symbol == symbol)
         value, ends = self.corrected.values[symbol], [unknown.low, unknown.high]
         return symbol not in self.best.released and bool(np.isclose(value, ends, rtol=ON_BOUND, atol=0.0).any())
+
+    def _begins(self) -> dict[str, dict[str, float]]:
+        """By recording and state, by how much its free run begins off what is read there."""
+        out: dict[str, dict[str, float]] = {}
+        for model in self.corrected.likelihood.model.each:
+            for key, state in model.begins.items():
+                out.setdefault(model.recording.name, {})[state] = self.corrected.values.get(key, 0.0)
+        return out
 
     def _recordings(self) -> dict[str, dict]:
         """By the name of a recording, the parameters that were fitted to it alone, and how its time was made even."""

@@ -103,6 +103,9 @@ class Diagnosed(TypedDict):
     remaining: str
     seconds: float
     recordings: NotRequired[Annotated[dict[str, Own], "By recording, where there are several."]]
+    begins: NotRequired[
+        Annotated[dict[str, dict[str, Figure]], "By recording and state: how far off its reading a free run begins."]
+    ]
     explained: NotRequired[Figure]
     refused: NotRequired[list[str]]
     units: NotRequired[list[str]]

@@ -72,6 +72,8 @@ def corrected(
     for symbol in values:
         if symbol not in model.values:
             raise InputError(f"diagnosis: parameter {symbol} is unknown to {rig.plant.name}")
+    begins = diagnosis.get("begins", {}).get(recording.name, {}) if diagnosis else {}
+    values |= {key: begins[state] for key, state in model.begins.items() if state in begins}
     return model, {**model.values, **values}
 
 
@@ -102,7 +104,10 @@ def _effect(value: object, where: str) -> dict:
 
 HEAD = {"schema": one_of(READ)}
 ENTRIES = {"plant": line, "effects": listed(_effect), "parameters": PARAMETERS}
-OWN = {"recordings": named(lambda value, where: table(value, where, {}, {"parameters": PARAMETERS}, others=True), line)}
+OWN = {
+    "recordings": named(lambda value, where: table(value, where, {}, {"parameters": PARAMETERS}, others=True), line),
+    "begins": named(named(number, check_name), line),
+}
 
 
 def check(diagnosis: object) -> dict:

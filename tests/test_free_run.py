@@ -8,6 +8,7 @@ from greygate.mismatch.effects import known
 from greygate.mismatch.fit import Unknown
 from greygate.mismatch.rig import load
 from greygate.mismatch.search import Hypothesis, Search
+from greygate.mismatch.simulation import simulate
 
 DT, STEP = 0.01, 2 * np.pi / 8192
 PLANT = """
@@ -73,8 +74,12 @@ def rig(folder, lost: int = 0, **truth):
 
 
 def test_nothing_is_missing_where_the_pendulum_was_let_go_at_rest(tmp_path):
-    found = diagnose(rig(tmp_path)).as_dict()
+    loaded = rig(tmp_path)
+    found = diagnose(loaded).as_dict()
     assert found["verdict"] == "consistent"
+    recording = loaded.to_explain()
+    error = simulate(loaded, recording, found)["q"] - recording["q"]  # the same run, where it began
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(found["fit"]["identify"]["q"]["corrected"], rel=1e-9)
     low, high = found["parameters"]["inertia"]["ci95"]  # inertia, weight and friction are known to a common factor
     assert low < 0.019
     assert high > 0.021
