@@ -32,7 +32,9 @@ class Score:
     and named. fault: whether the recording's fault was named. where: whether a right equation was named. removable:
     share of the calibrated simulation's error on the unseen recording that the truth removes. removed: the share of
     this that the tool removes. worse: its largest error over the calibrated simulation's, in one channel; corrects:
-    whether it adds anything to a calibrated simulation. inside: for each interval whether it holds the true value.
+    whether it adds anything to a calibrated simulation. harms: as `worse`, but over the error of the concealed machine
+    where that is larger: by chance the truth may be worse than what was calibrated. inside: for each interval whether
+    it holds the true value.
     """
 
     case: str
@@ -50,6 +52,7 @@ class Score:
     removable: float
     removed: float | None
     worse: float | None
+    harms: float | None
     inside: tuple[bool, ...]
     seconds: float
     error: str
@@ -92,7 +95,8 @@ def _score(name: str, sealed: Path, given: Path) -> Score:
     physical = [n for n in answer.names if n not in faults]
     equations = {*map(place, (w["equation"] for w in answer.where))}
     released = [symbol for symbol, p in answer.parameters.items() if p.get("outside_tolerance")]
-    errors = _errors(sealed, given, truth["third"], truth["counted_from"])
+    third = truth["third"]
+    errors = _errors(sealed, given, third, truth["counted_from"])
     return Score(
         case=name,
         plant=plant,
@@ -108,7 +112,8 @@ def _score(name: str, sealed: Path, given: Path) -> Score:
         parameter=truth["parameter"] in released if truth["parameter"] else None,
         removable=truth["removable"],
         removed=_removed(errors, truth),
-        worse=max((e / truth["third"][c]["calibrated"] for c, e in errors.items()), default=None),
+        worse=max((e / third[c]["calibrated"] for c, e in errors.items()), default=None),
+        harms=max((e / max(third[c]["calibrated"], third[c]["true"]) for c, e in errors.items()), default=None),
         inside=tuple(_inside(answer, truth)),
         seconds=ran["seconds"],
         error=ran["error"],

@@ -68,6 +68,7 @@ def figures(scores: Sequence[Score], naming: bool = True) -> dict:
         "inside 95 % intervals": _share([i for s in ran for i in s.inside], bool),
         "corrections worse than calibrated": _share(predicted, lambda s: s.worse > WORSE),
         "of these, with nothing added": _share(bare, lambda s: s.worse > WORSE),
+        "worse than the concealed machine, too": _share(predicted, lambda s: s.harms is not None and s.harms > WORSE),
         "median removed": float(typical) if np.isfinite(typical) else None,
         "median seconds": float(np.median([s.seconds for s in ran])) if ran else None,
         "worst seconds": max((s.seconds for s in scores), default=None),

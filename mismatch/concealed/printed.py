@@ -139,6 +139,7 @@ Figures = TypedDict(
         "inside 95 % intervals": Share,
         "corrections worse than calibrated": Share,
         "of these, with nothing added": Share,
+        "worse than the concealed machine, too": Share,
         "median removed": float | None,
         "median seconds": float | None,
         "worst seconds": float | None,
