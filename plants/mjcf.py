@@ -52,12 +52,7 @@ FAR = 1e10  # MuJoCo's own largest number of a state: beyond it, it begins anew
 def begin(at, x):
     model, data, qpos, qvel, act = at[:5]
     mj_resetData(model, data)
-    n = len(qpos)
-    for j in range(n):
-        qpos[j] = x[j]
-        qvel[j] = x[n + j]
-    for j in range(len(act)):
-        act[j] = x[2 * n + j]
+    restored(x, qpos, qvel, act)
 
 
 @jit
@@ -89,17 +84,46 @@ def mobility(at, i):
 
 
 @jit
+def lessened(at, x, slope):
+    # A Runge-Kutta step takes a force as it is: less what it falls by over the step, by an implicit step tried before.
+    # As a damping it would act on the whole velocity, and explicitly.
+    model, data, qpos, qvel, act, _, applied = at[:7]
+    damping, own, n = at[8], at[9], len(qpos)
+    for j in range(n):
+        damping[j] = own[j] + slope[j]
+    mj_Euler(model, data)
+    for j in range(n):
+        applied[j] -= slope[j] * (qvel[j] - x[n + j])
+        damping[j] = own[j]
+    restored(x, qpos, qvel, act)
+    mj_forward(model, data)
+
+
+@jit
+def restored(x, qpos, qvel, act):
+    n = len(qpos)
+    for j in range(n):
+        qpos[j] = x[j]
+        qvel[j] = x[n + j]
+    for j in range(len(act)):
+        act[j] = x[2 * n + j]
+
+
+@jit
 def advance(at, x, slope):
     model, data, qpos, qvel, act = at[:5]
     damping, own, integrator, n = at[8], at[9], at[12], len(qpos)
-    for j in range(n):
-        damping[j] = own[j] + slope[j]
-    if integrator == 0:
-        mj_Euler(model, data)
-    elif integrator == 1:
+    if integrator == 1:
+        if np.any(slope > 0.0):
+            lessened(at, x, slope)
         mj_RungeKutta(model, data, 4)
     else:
-        mj_implicit(model, data)
+        for j in range(n):
+            damping[j] = own[j] + slope[j]
+        if integrator == 0:
+            mj_Euler(model, data)
+        else:
+            mj_implicit(model, data)
     for j in range(n):
         damping[j] = own[j]
         x[j] = qpos[j]

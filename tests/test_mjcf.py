@@ -125,6 +125,20 @@ def test_stiff_dry_friction_holds_a_joint_still(tmp_path):
     assert np.abs(simulate(plain, given, sample_time=DT, step=plain.step)["v_el_bow"]).max() > 0.1
 
 
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
+def test_dry_friction_of_a_joint_that_turns_is_that_of_finer_steps(tmp_path, integrator):
+    """A Runge-Kutta step took its slope for a damping of the whole velocity, and ran away where a joint turned round."""
+    given = inputs(["m1", "m2"])
+    option = f'integrator="{integrator}"'
+    plain = mjcf.read(write(tmp_path, "arm.xml", option, loss=0.0), [*given])
+    rough = plain.with_term("motion_el_bow", "dry", "-0.2 * tanh(v_el_bow / 1e-3)")
+    coarse, fine, without = (
+        simulate(plant, given, sample_time=DT, step=plain.step / parts)["el_bow"]
+        for plant, parts in ((rough, 1), (rough, 20), (plain, 1))
+    )
+    assert np.abs(without - fine).max() > 20 * np.abs(coarse - fine).max()
+
+
 def test_torques_of_a_log_take_the_place_of_controls(tmp_path):
     path, names = write(tmp_path), ["torque_shoulder", "torque_el_bow"]
     plant, given = mjcf.read(path, names), inputs(names)
