@@ -127,7 +127,7 @@ def test_stiff_dry_friction_holds_a_joint_still(tmp_path):
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
 def test_dry_friction_of_a_joint_that_turns_is_that_of_finer_steps(tmp_path, integrator):
-    """A Runge-Kutta step took its slope for a damping of the whole velocity, and ran away where a joint turned round."""
+    """A Runge-Kutta step took its slope for a damping of the whole velocity: a joint that turned round ran away."""
     given = inputs(["m1", "m2"])
     option = f'integrator="{integrator}"'
     plain = mjcf.read(write(tmp_path, "arm.xml", option, loss=0.0), [*given])
