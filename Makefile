@@ -23,7 +23,7 @@ test: $(VENV)/.ready-dev | tools
 
 # What is slow and seldom alone in finding something: fuzz, browsers, random hardware and rigs, every fault of writing, the
 # commands of all pages; then what holds floats once more on an old processor.
-nightly: $(VENV)/.ready-dev docs | tools
+nightly: $(VENV)/.ready-nightly docs | tools
 	GREYGATE_FUZZ=10000 GREYGATE_FAULTS=all $(BIN)/python -m pytest -n 2 -m nightly
 	$(BIN)/python -m benchmarks made
 	$(MAKE) --no-print-directory test-old
@@ -76,7 +76,12 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,torch,browser,fmi,fusesoc,onnx,matlab,parquet,mdf,tdms,mcap,pandas]'
+	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,torch,fmi,fusesoc,onnx,matlab,parquet,mdf,tdms,mcap,pandas]'
+	@touch $@
+
+# What nightly tests alone use: half a gigabyte.
+$(VENV)/.ready-nightly: $(VENV)/.ready-dev
+	$(INSTALL) -e '.[nightly,browser]'
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

@@ -50,6 +50,20 @@ def unpacking(t, x, u, p):
     return np.array([v, (force - p.viscous * v) / p.mass])
 
 
+class Column:
+    """Numbers as CasADi gives them: numpy can take them, in one column."""
+
+    def __init__(self, *numbers):
+        self.numbers = numbers
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(self.numbers, dtype).reshape(-1, 1)
+
+
+def columned(t, x, u, p):
+    return Column(*rates(t, x, u, p))
+
+
 def euler(t, x, u, p, dt=STEP):
     return [x[0] + dt * x[1], x[1] + dt * (u[0] - p.viscous * x[1]) / p.mass]
 
@@ -73,7 +87,8 @@ def run(plant, **given):
 
 
 @pytest.mark.parametrize(
-    ("function", "compiled"), [(rates, False), (rates, True), (unpacking, False), (unpacking, True)]
+    ("function", "compiled"),
+    [(rates, False), (rates, True), (unpacking, False), (unpacking, True), (columned, False)],
 )
 def test_a_function_moves_as_the_same_equations_in_a_file_in_every_bit(function, compiled):
     """Also one that unpacks its arrays, which numba cannot."""
@@ -431,6 +446,7 @@ def test_an_environment_of_gymnasium_with_drag_inside_is_explained():
     assert effect["parameters"]["c2_w"]["value"] == pytest.approx(0.1, rel=0.02)
 
 
+@pytest.mark.nightly
 def test_a_function_of_casadi_with_another_inflow_is_explained():
     ca = pytest.importorskip("casadi", reason="pip install casadi")
     h, q, a = ca.SX.sym("h"), ca.SX.sym("q"), ca.SX.sym("a")
