@@ -119,6 +119,8 @@ class Machine:
         kind, j = case.kind if acts else "clean", case.joint
         if kind == "payload":
             _load(model, mujoco, case)
+        if kind == "motor_constant" and model.nu:  # what is beyond the limit of its control is clipped before
+            model.actuator_gainprm[self.driven.index(j), 0] *= 1.0 + case.size
         if kind == "friction" and case.phase > np.pi:
             model.dof_frictionloss[j] += case.size
         mujoco.mj_setConst(model, data := mujoco.MjData(model))
@@ -151,9 +153,9 @@ class Machine:
                 if kind == "delay":
                     late = len(commands) * FINER + step - round(case.size / h)
                     applied[self.driven.index(j)] = commands[max(late // FINER - 1, 0)][self.driven.index(j)]
-                if kind == "motor_constant":
-                    applied[self.driven.index(j)] *= 1.0 + case.size
                 force = np.zeros(model.nv)
+                if kind == "motor_constant" and not model.nu:
+                    applied[self.driven.index(j)] *= 1.0 + case.size
                 if kind == "ripple":
                     force[j] += case.size * np.sin(case.more["teeth"] * data.qpos[j] + case.phase)
                 if kind == "friction" and case.phase <= np.pi:  # LuGre
