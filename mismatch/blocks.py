@@ -174,20 +174,25 @@ class Judge:
         """Why `fit` does not earn to be worn in place of `plain`, on blocks not learnt from; empty where it does.
 
         Its squared error must be smaller, in the mean over channels each by that of `plain`, and no channel's larger by
-        more than chance makes of it.
+        more than chance makes of it. So it must be where both did learn: a fit that has not converged may run worse
+        than those to its blocks.
         """
         blocks = self.blocks(plain, fit)
-        before, after = (np.concatenate([self.unseen(f, held, exact) for held in blocks]) for f in (plain, fit))
+        unseen = (np.concatenate([self.unseen(f, held, exact) for held in blocks]) for f in (plain, fit))
+        return self._not_less(*unseen, "where not learnt from") or self._not_less(
+            self.errors(plain.values), self.errors(fit.values), "where it was learnt from"
+        )
+
+    def _not_less(self, before: np.ndarray, after: np.ndarray, where: str) -> str:
+        """Why errors (samples, channels) are no smaller than others, in words; empty where they are."""
         if not np.isfinite(after).all():
-            return "with it the run diverges where it was not learnt from"
+            return f"with it the run diverges {where}"
         ratio = np.mean(after**2, axis=0) / (np.mean(before**2, axis=0) + TINY)
         worse = [i for i in range(len(ratio)) if _worse(before[:, i], after[:, i])]
         for i, channel in enumerate(self.model.rig.predict):
             if i in worse:
-                return f"with it {channel} is {PERCENT * (np.sqrt(ratio[i]) - 1):.2g} % worse where not learnt from"
-        if np.mean(ratio) < 1.0:
-            return ""
-        return "with it the error of the run is no smaller where not learnt from"
+                return f"with it {channel} is {PERCENT * (np.sqrt(ratio[i]) - 1):.2g} % worse {where}"
+        return "" if np.mean(ratio) < 1.0 else f"with it the error of the run is no smaller {where}"
 
     def overfitted(self, fit: Fit) -> str:
         """What of a fit does not hold on blocks that it did not learn from, in words; empty where all does.

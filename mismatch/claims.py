@@ -153,6 +153,17 @@ def fitted_by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | No
     return _to_the_run(search, hypothesis, fit) if coloured or likelihood.model.window != search.rig.window else None
 
 
+def fitted_beside(claims: Claims) -> Fit:
+    """What is claimed, fitted beside the parameters of the calibrated plant, as they are.
+
+    Where the recording says too little of these, they may move to where a run goes astray.
+    """
+    had = {u.symbol for u in claims.calibrated.unknowns}
+    new = [u for u in claims.fit.unknowns if u.symbol not in had or np.isinf(u.prior)]
+    values = {**claims.fit.values, **{s: v for s, v in claims.calibrated.values.items() if s in had}}
+    return claims.fit.likelihood.fit(new, values, iterations=REFIT)
+
+
 def _to_the_run(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
     """The same for any fit, each channel weighed by what is left in it; None where it cannot be run.
 

@@ -17,7 +17,16 @@ from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import MORE, Judge
-from greygate.mismatch.claims import REFIT, Claims, earned, fitted_by_rule, held_to_tolerance, named, unborne
+from greygate.mismatch.claims import (
+    REFIT,
+    Claims,
+    earned,
+    fitted_beside,
+    fitted_by_rule,
+    held_to_tolerance,
+    named,
+    unborne,
+)
 from greygate.mismatch.closure import closure, left_beside
 from greygate.mismatch.coloured_selection import selected
 from greygate.mismatch.diagnosis import Diagnosis
@@ -275,7 +284,7 @@ def _carried_over(state: State) -> State:
 def _worn(state: State) -> State:
     """The last word has the run on blocks not learnt from: a correction that is no better there is taken back.
 
-    It is fitted again to the run itself first, as it is.
+    It is fitted again to the run itself first, as it is, and then beside the parameters of the calibrated plant.
     """
     search, best, claims = state.search, state.found.best, state.claims
     if not best.size or state.verdict == Verdict.UNEXPLAINED:
@@ -283,9 +292,13 @@ def _worn(state: State) -> State:
     judge = Judge(claims.fit.likelihood)
     if not (why := _no_better(judge, claims.calibrated, claims.fit)):
         return state
-    again = fitted_by_rule(search, best, claims.fit)
-    if again and not unborne(search, best, again) and not _no_better(judge, claims.calibrated, again):
-        return _written(state, replace(claims, fit=again))
+    by_rule = fitted_by_rule(search, best, claims.fit)
+    alone = fitted_beside(claims)
+    for again, fit in ((by_rule, by_rule), (alone, None)):
+        if again is None or unborne(search, best, again) or _no_better(judge, claims.calibrated, again):
+            continue
+        fit = fit or again.likelihood.fit(claims.fit.unknowns, again.values, again.shifts, iterations=0)
+        return _written(state, replace(claims, fit=fit))
     return _judged(_reduced(state, Hypothesis(), f"{_named(search, best)} is taken back: {why}"))
 
 

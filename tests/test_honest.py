@@ -14,7 +14,7 @@ from greygate.mismatch import diagnose as finding
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import FOLDS, Judge, Loss, _worse
-from greygate.mismatch.claims import earned, unborne
+from greygate.mismatch.claims import Claims, earned, fitted_beside, unborne
 from greygate.mismatch.closure import left_beside
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import _verdict, diagnose
@@ -57,6 +57,23 @@ def test_a_correction_is_worn_where_the_run_on_unseen_blocks_is_better_with_it(s
     assert judge.no_better(plain, right) == ""
     assert "worse where not learnt from" in judge.no_better(plain, spoilt(right, "speed_slip", -3.0))
     assert "no smaller where not learnt from" in judge.no_better(right, right)
+
+
+def test_a_fit_that_has_not_converged_is_not_worn_for_those_to_its_blocks(slipping):
+    """One step from it leads to fits that run well; what is worn is the fit itself."""
+    _, plain, _, right = slipping
+    judge = Judge(right.likelihood)
+    away = {**right.values, "speed_slip": -0.2 * right.values["speed_slip"]}
+    begun = right.likelihood.fit(right.unknowns, away, iterations=0)
+    assert "worse where it was learnt from" in judge.no_better(plain, begun)
+
+
+def test_what_is_claimed_is_fitted_beside_the_parameters_as_they_are(slipping):
+    _, plain, best, right = slipping
+    alone = fitted_beside(Claims(best, right, plain))
+    assert [u.symbol for u in alone.unknowns] == ["speed_slip"]
+    assert {s: alone.values[s] for s in plain.values} == plain.values
+    assert Judge(right.likelihood).no_better(plain, alone) == ""
 
 
 def test_a_name_takes_no_more_than_all(slipping):
