@@ -61,7 +61,7 @@ fuzz: $(VENV)/.ready-dev
 train: $(VENV)/.ready
 	$(BIN)/python -m benchmarks library
 	for name in valve_cylinder valve_cylinder_warm asymmetric_cylinder pump_cylinder cable_drum belt_drive mts crane tanks b2; do $(BIN)/greygate train $$name --out models/trained || exit 1; done
-	$(BIN)/python -m greygate.machines.pruned
+	$(BIN)/python -m benchmarks pruned
 	$(BIN)/python -m benchmarks made
 
 clean:

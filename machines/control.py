@@ -1,27 +1,23 @@
 """Position control of a machine: what is asked of it, by whom it is done, and where the loop runs.
 
-A machine's folder gives a `Task`. The PI controller is tuned, and the predictive controller imitated, on trajectories
-of their own (`TUNING`, `LEARNING`); `python -m greygate.machines.controllers NAME` makes both again and keeps them in
-models/trained/control. What is judged runs on other trajectories, and on days of the machine that no one has seen.
+A machine's folder gives a `Task`. The tuned PI controller and the network that imitates the predictive one are kept in
+models/trained/control; `python -m benchmarks controllers NAME` makes both again, on trajectories of their own.
 """
 
-import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
-from greygate.control.choices import JUDGED, Case
-from greygate.control.imitation import LAST, Imitated, Watched, dagger
+from greygate.control.choices import Case
+from greygate.control.imitation import LAST, Imitated
 from greygate.control.loop import Controller, Rig, Run, run
-from greygate.control.pi import Proportional, tuned
+from greygate.control.pi import Proportional
 from greygate.control.predictive import Limits
 from greygate.control.stepping import Floating, Stepped
 from greygate.emulator.program import Program
-from greygate.errors import InputError
 from greygate.models import sampling
 from greygate.models.network import Network
 from greygate.models.storage import TRAINED
@@ -31,9 +27,7 @@ from greygate.progress import Progress, silent
 from greygate.reading import read_json
 
 CONTROL = TRAINED / "control"
-TUNING, LEARNING = 50, 100  # seeds of trajectories and days: of the tuning, and from where on those of learning
-EPOCHS, DECAY = 60, 1e-6  # of DAgger
-HIDDEN, SEED = 10, 0
+LEARNING = 100  # from where on trajectories and days of learning have their seeds
 
 
 @dataclass(frozen=True)
@@ -101,41 +95,8 @@ class Task:
 
     def proportional(self) -> Proportional:
         """The PI controller as it was tuned."""
-        found = read_json(CONTROL / f"{self.name}.json", f"run python -m greygate.machines.controllers {self.name}")
+        found = read_json(CONTROL / f"{self.name}.json", f"run python -m benchmarks controllers {self.name}")
         return replace(self.first, **found["pi"])
-
-    # ---- tuning and learning
-
-    def tune(self, lead: bool = True) -> Proportional:
-        """The PI controller with the least RMS error on the tuning trajectory of the undisturbed machine."""
-
-        def track(controller: Proportional) -> float:
-            try:
-                figures = self.run(controller, Case.NOMINAL, TUNING).figures(self.settle)
-            except InputError:  # the rig left the range of numbers
-                return np.inf
-            return figures["rms"] if np.isfinite(figures["rms"]) else np.inf
-
-        return tuned(self.first, track, lead)
-
-    def learn(self, progress: Progress = silent) -> Network:
-        """The predictive controller, imitated by DAgger; every visit takes trajectories of its own, with and without
-        a disturbance."""
-        untrained = self.imitator(HIDDEN, SEED)
-        expert, visits = self.predictive(), iter(range(LEARNING, JUDGED))
-        reads = self.imitated(Floating(untrained), Floating(self.sensor()))
-
-        def visit(student: Network | None) -> list[Record]:
-            records = []
-            for case in (Case.NOMINAL, Case.LOAD, Case.LOAD):
-                driver = self.floating(student) if student else None
-                watched = Watched(driver, expert, reads, self.limits)
-                found = self.run(watched, case, next(visits)).figures(self.settle)
-                progress(f"{'student' if student else 'expert'}, {case}: RMS {1e6 * found['rms']:.2f} µm")
-                records.append(watched.record(untrained, self.preview + self.settle // 10))
-            return records
-
-        return dagger(untrained, visit, self.rounds, EPOCHS, DECAY, progress)
 
     # ---- fixed point
 
@@ -174,12 +135,3 @@ class _Noted:
         own = Record({p.name: columns[p.name] for p in network.inputs}, {drive: columns["answer"]})
         given = {p.name: columns[LAST if p.name == driven else p.name] for p in sensor.inputs}
         return own, Record(given, {p.name: columns[p.name] for p in sensor.outputs})
-
-
-def make(task: Task, folder: Path = CONTROL, progress: Progress = silent) -> None:
-    """Tune the PI controller and learn the imitation, and keep both."""
-    best = task.tune()
-    progress(f"PI tuned: {best}")
-    network = replace(task.learn(progress), dt=task.period)
-    kept = {n: float(v) for n, v in asdict(best).items() if n in ("gain", "reset_rate", "forward", "lead")}
-    network.save(folder / task.name, json.dumps({"pi": kept}, indent=1) + "\n")

@@ -6,14 +6,13 @@ of. It answers where that is given again: the same network to the bit, the same 
 as far as the network's errors on them tell. Else pruning is done anew; what came out is network.toml in the build, and
 from that a compilation without pruning gives the same build everywhere.
 
-`python -m greygate.machines.pruned` makes and keeps them.
+`python -m benchmarks pruned` makes and keeps them.
 """
 
 import hashlib
-import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -57,31 +56,18 @@ class Kept:
         """Raises InputError if the file that is kept is not what it was."""
         path = PRUNED / self.name
         if path.with_suffix(".json").exists():
-            facts = read_json(path.with_suffix(".json"), "run python -m greygate.machines.pruned")
-            if _same(facts["made_of"], self._made_of(network, allowed, options)):
+            facts = read_json(path.with_suffix(".json"), "run python -m benchmarks pruned")
+            if _same(facts["made_of"], self.made_of(network, allowed, options)):
                 found = Network.load(path)
                 if digest(found) != facts["network"]:
                     raise InputError(
-                        f"{path}.toml: its digest says that it was changed; run python -m greygate.machines.pruned"
+                        f"{path}.toml: its digest says that it was changed; run python -m benchmarks pruned"
                     )
                 return found, [Round(**{**r, "error": tuple(r["error"])}) for r in facts["rounds"]]
         return self.prune(network, allowed, **options)
 
-    def make(self, network: Network) -> tuple[Network, list[Round]]:
-        """Prune anew, and keep what comes out."""
-        smaller, rounds = self.prune(network, ALLOWED)
-        self.keep(network, smaller, rounds)
-        return smaller, rounds
-
-    def keep(self, network: Network, smaller: Network, rounds: list[Round]) -> None:
-        facts = {
-            "made_of": self._made_of(network, ALLOWED, {}),
-            "network": digest(smaller),
-            "rounds": [asdict(r) for r in rounds],
-        }
-        smaller.save(PRUNED / self.name, json.dumps(facts, indent=1) + "\n")
-
-    def _made_of(self, network: Network, allowed: float, options: Mapping) -> dict:
+    def made_of(self, network: Network, allowed: float, options: Mapping) -> dict:
+        """What its answer depends on: the network, what is asked of it, and its errors on the records."""
         method = options.get("weights")
         return {
             "network": digest(network),

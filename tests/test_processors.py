@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from networks import delay_line
 
+from benchmarks.pruned import make
 from greygate.compiler.pipeline import compile_network
 from greygate.errors import InputError
 from greygate.machines import kept as keeping
@@ -96,7 +97,7 @@ def kept(tmp_path, monkeypatch) -> Kept:
         return one, []
 
     found = Kept("two", lambda: {"training": recording}, prune)
-    found.make(both)
+    make(found, both)
     return found
 
 
@@ -141,7 +142,7 @@ def test_a_pruned_network_that_was_changed_is_refused(kept, tmp_path):
 
 @pytest.mark.parametrize("name", [n for n, e in CATALOG.items() if e.prune])
 def test_the_catalogues_pruned_networks_are_those_of_its_networks(name):
-    """A network that was trained again needs `python -m greygate.machines.pruned`."""
+    """A network that was trained again needs `python -m benchmarks pruned`."""
     found = entry(name)
     compiled = compile_network(
         found.network(),
