@@ -65,7 +65,7 @@ class Model:
     def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], window: int | None = None):
         self.rig, self.effects = rig, effects
         self.plant, self.readings = join(rig.plant, effects.values())
-        timed = bool(rig.window) or bool(getattr(rig.plant.outside, "early", 0.0))
+        timed = bool(rig.window or rig.plant.early)
         if timed:
             self._add(TIMING, "s")
         if rig.window:
@@ -131,7 +131,7 @@ class Model:
     @property
     def early_by(self) -> float:
         """By how much inputs may act early (s): a simulator from outside takes them in steps of its own."""
-        return float(getattr(self.plant.outside, "early", 0.0)) * self._compiled.step
+        return self.plant.early * self._compiled.step
 
     @property
     def longer_steps(self) -> list[int]:

@@ -99,7 +99,7 @@ def init_rig(path: Path, record: str, model: Path, mapped: Mapping[str, str], tr
         rig = load(new)
         recording = rig.to_explain()
         rig = replace(rig, channels=_heard(rig, recording), window=_window(log, rig, recording))
-        if log.plant.outside and hasattr(log.plant.outside, "early"):
+        if outside and outside.steps and not outside.fixed:
             rig = replace(rig, plant=replace(rig.plant, step=_finer(rig, recording)))
             sheet = replace(sheet, step=rig.plant.step if rig.plant.step < log.plant.step else None)
         replace(sheet, window=rig.window, untold=_untold(Model(rig, recording, {}))).write(new)

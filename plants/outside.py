@@ -24,7 +24,7 @@ class Outside(Protocol):
     `stepped[first : first + forced]`, on each of which a force acts. shown: those that it only shows, at the samples.
     parameters: those of the plant that it takes. own: "equation.term" that it computes itself. elements: (general
     effect, equation) -> the parameter by which the simulator says that effect itself.
-    early: where it is there, the share of a step by which inputs act early: half with an integrator of first order.
+    early: the share of a step by which inputs act early: half with an integrator of first order.
     source: functions that numba compiles beside `simulator.source`: `run(x, inputs, parameters, low, high, rate, h,
     substeps, out, at)`, whose `at` is what `lent` lends; or what `RUN` needs for that, and `RUN`.
     steps: whether it has steps of its own; else of the plant. whole: whether it may not begin within a recording, for
@@ -56,6 +56,8 @@ class Outside(Protocol):
     def whole(self) -> bool: ...
     @property
     def timed(self) -> bool: ...
+    @property
+    def early(self) -> float: ...
     @property
     def loop(self) -> Callable[[str], Any] | None: ...
     def lent(self, inputs: Sequence[str], values: Mapping[str, float], step: float) -> AbstractContextManager[Any]:

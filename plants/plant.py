@@ -272,6 +272,11 @@ class Plant:
         """Whether a run may not begin within a recording: it has states that nobody records."""
         return bool(self.outside and self.outside.whole)
 
+    @property
+    def early(self) -> float:
+        """The share of a step by which inputs act early."""
+        return self.outside.early if self.outside else 0.0
+
     # -- asking it ---------------------------------------------------------------------------------------------------
 
     def unit(self, symbol: str) -> str:

@@ -331,6 +331,7 @@ class _Steps:
     steps: bool = True
     whole: bool = False
     timed: bool = False
+    early: float = 0.0
     shown: Collection[str] = ()
     loop: None = None
     source: str = STEP + RUN

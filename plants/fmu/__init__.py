@@ -54,6 +54,7 @@ class Simulated:
     scales: Sequence[tuple[float, float]]
     settings: Sequence[tuple[float, float]]
     first: int = 0
+    early: float = 0.0
     source: str = ""
     elements: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
