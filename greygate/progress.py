@@ -2,8 +2,11 @@
 
 import math
 import sys
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import partial
+from time import monotonic
 
 Progress = Callable[[str], None]
 
@@ -12,19 +15,72 @@ def silent(line: str) -> None:
     """Say nothing: the default of every `progress`."""
 
 
+class OutOfTime(Exception):
+    """Work is left out, for its time is over."""
+
+
 class Budget:
     """The time that work may take: what is `over` ends with the best that it has."""
 
     def __init__(self, seconds: float = math.inf):
-        self.ends = time.monotonic() + seconds
+        self.began = monotonic()
+        self.ends = self.began + seconds
 
     @property
     def over(self) -> bool:
-        return time.monotonic() > self.ends
+        return self.late(0.0)
+
+    def late(self, share: float) -> bool:
+        """Whether so much more than the time is over."""
+        return monotonic() >= self.ends + share * (self.ends - self.began)
 
     def stop(self) -> None:
         """The time is over now."""
-        self.ends = -math.inf
+        self.ends = monotonic()
+
+    @contextmanager
+    def searching(self) -> Iterator[None]:
+        """Inside, what is in `cut` ends where the time is over."""
+        with _set(_SEARCHED, self):
+            yield
+
+    @contextmanager
+    def held(self, share: float) -> Iterator[None]:
+        """Inside, `check` raises OutOfTime where so much more than the time is over; nothing is `cut`."""
+        with _set(_SEARCHED, None), _set(_LATE, partial(self.late, share)):
+            yield
+
+
+_SEARCHED: ContextVar[Budget | None] = ContextVar("searched", default=None)
+_LATE: ContextVar[Callable[[], bool] | None] = ContextVar("late", default=None)
+
+
+@contextmanager
+def _set(variable: ContextVar, value: object) -> Iterator[None]:
+    token = variable.set(value)
+    try:
+        yield
+    finally:
+        variable.reset(token)
+
+
+@contextmanager
+def cut() -> Iterator[None]:
+    """Inside, work ends at a `check` where the time of a search is over; what it has by then stays."""
+    if (budget := _SEARCHED.get()) is None:
+        yield
+        return
+    try:
+        with _set(_LATE, partial(budget.late, 0.0)):
+            yield
+    except OutOfTime:
+        pass
+
+
+def check() -> None:
+    """Raise OutOfTime where the time is over within which this is to be done, if any."""
+    if (late := _LATE.get()) is not None and late():
+        raise OutOfTime
 
 
 _SAID: set[str] = set()

@@ -18,6 +18,7 @@ from greygate.mismatch.fit import ENOUGH, ITERATIONS, Fit, Likelihood, Unknown
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.runs import along, whole
+from greygate.progress import cut
 
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the autoregression, among which BIC chooses
 SAMPLES_EACH = 20  # of the recording for each coefficient of the autoregression, at least
@@ -168,7 +169,16 @@ def _late(signal: np.ndarray, by: int, pieces: Sequence[slice]) -> np.ndarray:
 
 
 def resized(likelihood: Likelihood, effect: Effect, fit: Fit) -> Effect:
-    """The effect with `typical` strengths that change the prediction by about as much as `fit` leaves unexplained."""
+    """The effect with `typical` strengths that change the prediction by about as much as `fit` leaves unexplained.
+
+    It is as it was where the time of a search is over.
+    """
+    with cut():
+        return _resized(likelihood, effect, fit)
+    return effect
+
+
+def _resized(likelihood: Likelihood, effect: Effect, fit: Fit) -> Effect:
     size = np.std(likelihood.residual(fit.values), axis=0) + TINY
     values = {**likelihood.model.values, **fit.values, **effect.set}
     base = likelihood.model.predict({**likelihood.model.values, **fit.values})

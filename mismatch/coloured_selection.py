@@ -18,7 +18,7 @@ from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY, beginnings
 from greygate.mismatch.search import ROUGH, Hypothesis, Score, Search
 from greygate.mismatch.selection import Found, Selection
-from greygate.progress import Progress, silent
+from greygate.progress import Progress, cut, silent
 
 EFFECTS = 4  # in a hypothesis, at most
 ORDERINGS = 2  # times the order of the noise is chosen: for what the data sheet's plant leaves, then for a better fit
@@ -331,11 +331,13 @@ def drawn(
     own = {u.symbol: u for u in search.unknowns(hypothesis) if u.symbol in search.toleranced}
     constants = search.constants(hypothesis)
     best, least = dict(values), np.inf
-    for k in range(DRAWS):
-        numbers = rng.uniform(-2.0, 2.0, len(own)) * (k > 0)  # the data sheet itself comes first
-        tried = {s: float(np.clip(u.value(x), u.low, u.high)) for (s, u), x in zip(own.items(), numbers, strict=True)}
-        residual = likelihood.residual({**constants, **tried, **values})
-        cost = float(np.sum(np.mean(residual**2, axis=0) / np.var(likelihood.model.target, axis=0)))
-        if cost < least:
-            best, least = {**tried, **values}, cost
+    draws = [rng.uniform(-2.0, 2.0, len(own)) * (k > 0) for k in range(DRAWS)]  # the data sheet itself comes first
+    with cut():
+        for numbers in draws:
+            each = zip(own.items(), numbers, strict=True)
+            tried = {s: float(np.clip(u.value(x), u.low, u.high)) for (s, u), x in each}
+            residual = likelihood.residual({**constants, **tried, **values})
+            cost = float(np.sum(np.mean(residual**2, axis=0) / np.var(likelihood.model.target, axis=0)))
+            if cost < least:
+                best, least = {**tried, **values}, cost
     return best

@@ -46,7 +46,7 @@ from greygate.mismatch.verdict import Verdict
 from greygate.mismatch.words import lines
 from greygate.plants.plant import Plant
 from greygate.plants.recording import run_name
-from greygate.progress import Budget, Progress, silent
+from greygate.progress import Budget, OutOfTime, Progress, silent
 
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
@@ -55,6 +55,8 @@ NOISES = 3  # noises under which a recording is explained, at most: each is what
 OPEN_VERDICTS = Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED
 LEAST_SURE = 0.5  # of confidence in a name, below which something else is likelier
 LED_BACK = 4  # iterations: each leads a numbers' prior all the way where the run is linear
+GRACE = 0.2  # of the time that there was: so much longer the gates may take that a claim passes
+AFTER = "what follows the search"  # in words, where there is no time for it
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 
 
@@ -76,8 +78,9 @@ def diagnose(
     says of a rig, `tolerance` (parameter -> relative), `plus_minus`, `noise_rms` and `resolution` (parameter or channel
     -> in its unit), `predict`, `window_s`, and `holdout`, further recordings (`given.rig_of`).
     effects: those to be tried, by key; by default all that are known for the rig. progress: gets a line of text for
-    each thing that begins, such as `print`. seconds, budget: when it is over, no further hypothesis is fitted, and the
-    diagnosis names those that were left out. Raises InputError where a recording or the table of effects cannot serve.
+    each thing that begins, such as `print`. seconds, budget: when it is over, fits end where they are, no further
+    hypothesis is tried, and the diagnosis names those that were left out; what is not tested soon then is no claim.
+    Raises InputError where a recording or the table of effects cannot serve.
 
     >>> force = 60.0 * np.repeat(np.random.default_rng(2).standard_normal(30), 40)
     >>> real = axis.with_parameters(viscous=500.0)  # the data sheet of `load_rig` says 400, up to 10 % off
@@ -109,7 +112,7 @@ def diagnose(
     result.not_shown, result.words = not_shown, lines
     if result.verdict == Verdict.MISSING_PHYSICS and _faults(search, result.best):
         result.verdict = Verdict.RECORDING_FAULT
-    if result.verdict == Verdict.CONSISTENT:
+    if result.verdict == Verdict.CONSISTENT and not search.left_out("how large what is not there may be"):
         progress("bounding what is not there")
         result.not_larger_than = ruled_out(search, result.corrected, not_shown)
     progress("predicting the recordings")
@@ -186,7 +189,7 @@ class State:
 def _diagnosed(search: Search, progress: Progress) -> Diagnosis:
     """Explain with the noise that was told, if any, and once more where the recording shows another."""
     found = _explained(search, progress)
-    if search.moved_between(found.corrected, iterations=REFIT):
+    if not search.budget.over and search.moved_between(found.corrected, iterations=REFIT):
         progress("searching again: inputs moved between the samples")
         found = _explained(search, progress)
     noise = shown_noise(found.corrected)
@@ -208,10 +211,28 @@ def _diagnosed(search: Search, progress: Progress) -> Diagnosis:
 def _explained(search: Search, progress: Progress) -> Diagnosis:
     """The steps of a diagnosis, once, with the noise that the search has now."""
     search.within = WITHIN
-    state = _supported(search, progress)
-    for step in (_claimed, _confident, _regained, _lasting, _led_back, _closed):
-        state = step(state)
+    with search.budget.searching():
+        selection, found = _searched(search, progress)
+    try:
+        with search.budget.held(GRACE):
+            state = _confident(_claimed(_supported(search, selection, found, progress)))
+    except OutOfTime:
+        return _diagnosis(_judged(_untested(search, selection, progress)))
+    for step in (_regained, _lasting, _led_back, _closed):
+        state = _in_time(step, state)
     return _diagnosis(state)
+
+
+def _in_time(step: Callable[[State], State], state: State) -> State:
+    """The state after a step; that before it, where there is no time for the step."""
+    search = state.search
+    try:
+        if not search.left_out(AFTER):
+            with search.budget.held(GRACE):
+                return step(state)
+    except OutOfTime:
+        search.left_out(AFTER)
+    return state
 
 
 def _diagnosis(state: State) -> Diagnosis:
@@ -223,13 +244,29 @@ def _diagnosis(state: State) -> Diagnosis:
     )  # fmt: skip
 
 
-def _supported(search: Search, progress: Progress) -> State:
-    """What the recording supports, and what the gates leave of it."""
+def _searched(search: Search, progress: Progress) -> tuple[Selection, Found]:
+    """What the recording supports."""
     selection = selected(search, progress)
     if not search.checked:
         check(search, selection.start)
         search.checked = True
-    found = selection.searched()
+    return selection, selection.searched()
+
+
+def _untested(search: Search, selection: Selection, progress: Progress) -> State:
+    """Nothing is claimed, for there was no time to test it."""
+    plain = selection.plain
+    found = Found(Hypothesis(), plain, plain, selection)
+    tried = {h: fit for h, fit in selection.fits.items() if h.size}
+    claims = Claims(Hypothesis(), plain, plain)
+    if tried:
+        best = min(tried, key=lambda h: tried[h].cost)
+        claims.refused.append(f"{_named(search, best)} is not claimed: there was no time to test it")
+    return State(search, selection, progress, found, claims)
+
+
+def _supported(search: Search, selection: Selection, found: Found, progress: Progress) -> State:
+    """What the gates leave of what the recording supports."""
     claimed = selection.claimable(found)
     claims = earned(search, selection.plain, claimed.best, claimed.fit, selection.refit, progress)
     if claimed is not found:

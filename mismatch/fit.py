@@ -24,6 +24,7 @@ from greygate.mismatch.noise import Noise, deviation
 from greygate.mismatch.runs import along, whole
 from greygate.mismatch.undetermined import deviations
 from greygate.models.training.gauss_newton import Decades, bounded, search
+from greygate.progress import cut
 
 WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
 WARM_PART = 12  # but no more than such a part of a recording
@@ -417,14 +418,16 @@ class Likelihood:
         """The best fit near `values` (of unknowns, and of other parameters, which stay) and `shifts`.
 
         The fit has converged when a step lowers the cost by less than `enough`, or by less than `slack` as a share of
-        what the cost exceeds that of noise. rival: a cost; a fit that is on no way to it gives up. tempered: errors
-        beyond the sensors' noise are taken for what the plant leaves out, so that they count less and the data sheet
-        counts more. both: by finer slopes, to both sides. The cost is inf if the run diverges from `values` and from
-        nearer to the unknowns' origins too.
+        what the cost exceeds that of noise; where the time of a search is over, it ends before. rival: a cost; a fit
+        that is on no way to it gives up. tempered: errors beyond the sensors' noise are taken for what the plant leaves
+        out, so that they count less and the data sheet counts more. both: by finer slopes, to both sides. The cost is
+        inf if the run diverges from `values` and from nearer to the unknowns' origins too.
         """
         descent = _Descent(self, unknowns, values or {}, self.nothing() if shifts is None else shifts.copy())
         descent.both = both
-        converged = descent.at.cost < np.inf and descent.run(iterations, tempered, rival, enough, slack)
+        converged = False
+        with cut():
+            converged = descent.at.cost < np.inf and descent.run(iterations, tempered, rival, enough, slack)
         return descent.fit(converged)
 
 

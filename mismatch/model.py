@@ -24,6 +24,7 @@ from greygate.plants.expressions import names, summands
 from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import Restarted
+from greygate.progress import check
 
 TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known well
 EARLY = "input_early"  # a nuisance: part of a sample by which inputs act early, in the mean, as they moved in between;
@@ -413,6 +414,7 @@ class Model:
         key = (tuple(values.get(s, 0.0) for s in self.moving), None if shifts is None else shifts.tobytes())
         last = self._last  # other threads may put another in its place
         if key != last[0]:
+            check()
             self.runs += 1
             parts = self._parts
             ran = self._compiled.run(self._columns(parted), parts * self.restarts, starts, self.reset, values)

@@ -23,7 +23,7 @@ from greygate.mismatch.scales import memory, span
 from greygate.mismatch.several import modelled
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
-from greygate.progress import Budget
+from greygate.progress import Budget, cut
 
 SHORT, SHORT_SHARES = 40, (0.1, 2.0)  # samples of a window in the screen; of the memory of the fastest channel
 LONG_WINDOW, LONG_SHARES = 100, (0.25, 5.0)  # in the final fit: two integrators' errors stay below the noise so far
@@ -148,8 +148,12 @@ class Search:
 
     def skips(self, hypothesis: Hypothesis) -> bool:
         """Whether there is no time left for a hypothesis; it is noted."""
+        return self.left_out(str(hypothesis))
+
+    def left_out(self, what: str) -> bool:
+        """Whether there is no time left for something; it is noted."""
         if self.budget.over:
-            self.untried[str(hypothesis)] = None
+            self.untried[what] = None
         return self.budget.over
 
     # -- unknowns ----------------------------------------------------------------------------------------------------
@@ -246,12 +250,16 @@ class Search:
 
     def scores(self, likelihood: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
         """What every candidate promises to save, by a fit linearised at `fit`; best first."""
-        plain = saving(fit)
+        candidates = [c for c in self.candidates(given) if not self.skips(given.plus(c))]
+        plain = saving(fit) if candidates else 0.0
 
         def best(candidate: Hypothesis) -> Score | None:
-            return max(self._promises(likelihood, fit, candidate, plain), key=lambda s: s.gain, default=None)
+            with cut():
+                return max(self._promises(likelihood, fit, candidate, plain), key=lambda s: s.gain, default=None)
+            self.skips(given.plus(candidate))
+            return None
 
-        ranked = (score for score in each(best, self.candidates(given)) if score is not None and score.gain > 0)
+        ranked = (score for score in each(best, candidates) if score is not None and score.gain > 0)
         return sorted(ranked, key=lambda s: -s.gain)
 
     def pairs(self, likelihood: Likelihood, fit: Fit, count: int) -> list[Score]:
@@ -259,8 +267,9 @@ class Search:
 
         A pair is of two effects, or of an effect and a parameter whose tolerance is lifted: `count` of each kind.
         """
-        effects = [e for e in self.effects.values() if self.joined(Hypothesis(), e)]
-        blocks = [(effect, *found) for effect in effects for found in self.directions(likelihood, fit, effect)]
+        effects, blocks = [e for e in self.effects.values() if self.joined(Hypothesis(), e)], []
+        with cut():
+            blocks = [(effect, *found) for effect in effects for found in self.directions(likelihood, fit, effect)]
         if not blocks:
             return []
         normal = Normal.of(fit, np.concatenate([b[-1] for b in blocks], axis=2))
@@ -423,7 +432,7 @@ class Search:
         What turns over once too often has come to another valley; over a short time there is one valley. how: options
         of `Likelihood.fit` with which `fit` was made, and the last part of the way is.
         """
-        if not self.lost(fit):
+        if self.budget.over or not self.lost(fit):
             return fit
         likelihood, unknowns, values = fit.likelihood, fit.unknowns, dict(fit.fixed)
         pieces = likelihood.model.pieces

@@ -102,7 +102,8 @@ def lines(result: Diagnosis) -> list[str]:
             row("" if i else "units", f"{text}: correct the units, or do not trust those of what is found there")
         )
     if untried := found.get("not_tried"):
-        out.append(row("not tried", f"{len(untried)} hypotheses, for want of time: {', '.join(untried[:FEW])}"))
+        what = f"{len(untried)} hypotheses and steps"
+        out.append(row("not tried", f"{what}, for want of time: {', '.join(untried[:FEW])}"))
     for i, text in enumerate(bounds(found)):
         out.append(row("" if i else "not there", text))
     for i, text in enumerate(hidden(result)):

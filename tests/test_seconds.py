@@ -1,0 +1,75 @@
+"""`seconds` is kept by a plant whose simulation is slow, and what is not tested in time is not claimed."""
+
+import numpy as np
+import pytest
+
+from greygate import Recording, Simulator, diagnose, progress, simulate
+
+SAMPLES = 300
+RUN = 6 * (SAMPLES - 1)  # calls of the function in a run
+BESIDE = 50  # runs that a diagnosis needs before a search and after it
+
+
+def cart(t, x, u, p):
+    return x[1], (u[0] - p.viscous * x[1]) / p.mass
+
+
+class Slow:
+    """The same; each call takes a second of a clock of its own."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def now(self) -> float:
+        return self.calls
+
+    def __call__(self, t, x, u, p):
+        self.calls += 1
+        return cart(t, x, u, p)
+
+
+def plant(function):
+    return Simulator(
+        function, dt=0.01, states={"x": {"unit": "m", "rate": "v"}, "v": "m/s"}, inputs={"force": "N"}, outputs=["x"],
+        parameters={"mass": [2.0, "kg", 0.05], "viscous": [4.0, "N s/m", 0.2]}, storage={"v": "mass"}, compiled=False,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """With dry friction."""
+    rng = np.random.default_rng(2)
+    force = 10.0 * np.repeat(rng.standard_normal(SAMPLES // 20), 20)
+    real = Simulator(
+        lambda t, x, u, p: (x[1], (u[0] - p.viscous * x[1] - 2.0 * np.tanh(x[1] / 0.01)) / p.mass),
+        dt=0.001, states={"x": {"unit": "m", "rate": "v"}, "v": "m/s"}, inputs={"force": "N"}, outputs=["x"],
+        parameters={"mass": [2.0, "kg"], "viscous": [4.0, "N s/m"]}, compiled=True,
+    )  # fmt: skip
+    x = simulate(real, {"force": force}, sample_time=0.01)["x"] + 1e-4 * rng.standard_normal(SAMPLES)
+    return Recording(0.01, {"force": force, "x": x}, {"force": "N", "x": "m"})
+
+
+@pytest.mark.parametrize("told", [{}, {"noise_rms": {"x": 1e-4}}], ids=["noise untold", "noise told"])
+@pytest.mark.parametrize("runs", [1, 30, 150])
+def test_the_time_is_kept_within_the_fit_of_a_hypothesis(recording, told, runs, monkeypatch):
+    slow = Slow()
+    monkeypatch.setattr(progress, "monotonic", slow.now)
+    found = diagnose(plant(slow), recording, seconds=runs * RUN, **told).as_dict()
+    assert slow.calls < (1.2 * runs + BESIDE) * RUN
+    assert found["not_tried"]
+    assert not found["effects"]
+
+
+def test_what_is_not_tested_in_time_is_not_claimed(recording, monkeypatch):
+    slow = Slow()
+    monkeypatch.setattr(progress, "monotonic", slow.now)
+    found = diagnose(plant(slow), recording, seconds=150 * RUN, noise_rms={"x": 1e-4}).as_dict()
+    assert found["verdict"] == "unexplained"
+    assert not found["effects"]
+    assert "dry_friction is not claimed: there was no time to test it" in found["refused"]
+
+
+def test_a_claim_that_has_time_is_made(recording):
+    found = diagnose(plant(cart), recording, seconds=1e9, noise_rms={"x": 1e-4}).as_dict()
+    assert "not_tried" not in found
+    assert "dry_friction" in [e["id"] for e in found["effects"]]
