@@ -24,7 +24,7 @@ GENERAL = Path(__file__).parent / "general.toml"
 SHARE = 0.1  # of the largest term of its place, that a term of typical size has
 TWIN = 0.01  # by which that of two effects may: no recording tells such shapes apart
 ALIKE = 1e-9  # by which the cosine of two terms along a recording may fall short of 1: one is the other, rescaled
-COPIES = ("unit", "rate", "way", "sum")  # ways to take a unit from a signal, or from a sum of terms
+COPIES = ("unit", "rate", "per", "way", "sum")  # ways to take a unit from a signal, or from a sum of terms
 
 
 def general(
@@ -186,7 +186,7 @@ def _ordered(parameter: dict) -> dict:
 
 
 def _copied(unit: str, seen: Seen) -> str:
-    """The unit that "unit NAME" (or its "rate", or the "way" of a velocity) stands for."""
+    """The unit that "unit NAME" (or its "rate", what is "per" it, or the "way" of a velocity) stands for."""
     kind, _, name = unit.partition(" ")
     if kind not in COPIES or not name:
         return unit
@@ -194,6 +194,8 @@ def _copied(unit: str, seen: Seen) -> str:
     found = unit_of_place(plant, name) if kind == "sum" else units.powers(plant.unit(name))
     if found is None:
         return ""
+    if kind == "per":  # an angle counts nothing
+        found = {symbol: -power for symbol, power in found.items() if symbol != "rad"}
     if kind in ("rate", "way"):
         found = units.times(found, {"s": Fraction(1)}, -1 if kind == "rate" else 1)
     return units.written(found)
