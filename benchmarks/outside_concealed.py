@@ -123,6 +123,8 @@ class Machine:
             model.actuator_gainprm[self.driven.index(j), 0] *= 1.0 + case.size
         if kind == "friction" and case.phase > np.pi:
             model.dof_frictionloss[j] += case.size
+        if kind in ("play", "compliance"):  # the motor's inertia is some of the joint's
+            model.dof_armature[j] -= ROTOR * self.inertia[j]
         mujoco.mj_setConst(model, data := mujoco.MjData(model))
         model.opt.timestep = h = DT / FINER
         data.qpos[:] = self.begin
