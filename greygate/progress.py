@@ -19,16 +19,19 @@ class OutOfTime(Exception):
     """Work is left out, for its time is over."""
 
 
+SEARCHED = 0.6  # of the time that is left, which a search may take: what it finds is to be tested, too
+
+
 class Budget:
     """The time that work may take: what is `over` ends with the best that it has."""
 
     def __init__(self, seconds: float = math.inf):
         self.began = monotonic()
-        self.ends = self.began + seconds
+        self.ends, self.until = self.began + seconds, math.inf
 
     @property
     def over(self) -> bool:
-        return self.late(0.0)
+        return monotonic() >= min(self.ends, self.until)
 
     def late(self, share: float) -> bool:
         """Whether so much more than the time is over."""
@@ -40,9 +43,14 @@ class Budget:
 
     @contextmanager
     def searching(self) -> Iterator[None]:
-        """Inside, what is in `cut` ends where the time is over."""
-        with _set(_SEARCHED, self):
-            yield
+        """Inside, the time is over, and what is in `cut` ends, where no more is left than to test what was found."""
+        now = monotonic()
+        self.until = now + SEARCHED * (self.ends - now)
+        try:
+            with _set(_SEARCHED, self):
+                yield
+        finally:
+            self.until = math.inf
 
     @contextmanager
     def held(self, share: float) -> Iterator[None]:
@@ -71,7 +79,7 @@ def cut() -> Iterator[None]:
         yield
         return
     try:
-        with _set(_LATE, partial(budget.late, 0.0)):
+        with _set(_LATE, lambda: budget.over):
             yield
     except OutOfTime:
         pass
