@@ -82,11 +82,15 @@ def cluster_tasks(cluster):
     return lambda: sum(to == "memory" for _, _, to, *_ in cluster.scheduler.transition_log)
 
 
+TRIED = "speed_slip", "direction_slip", "acceleration_slip", "drift"  # of a drum's effects: all others cost time alone
+
+
 def _drum(folder: Path, **drawn: str) -> Search:
     """The search on a cable drum that conceals what is drawn."""
     rig = load(conceal("cable_drum", 3, folder / "rig", **drawn))
     recording = rig.to_explain()
-    return Search(rig, recording, effects.known(rig, recording))
+    known = effects.known(rig, recording)
+    return Search(rig, recording, {key: effect for key, effect in known.items() if effect.id in TRIED})
 
 
 @pytest.fixture(scope="module")

@@ -74,7 +74,7 @@ def cart(folder: Path, factor: float, seed: int) -> Path:
     return write(folder, CART, {s: v / factor for s, v in SHEET.items()}, dict.fromkeys(SHEET, 0.3), channels, 0.02)
 
 
-@pytest.mark.parametrize("factor", [0.78, 1.0, 1.28])
+@pytest.mark.parametrize("factor", [0.78, pytest.param(1.0, marks=pytest.mark.nightly), 1.28])
 def test_a_common_factor_that_no_motion_tells_is_in_every_interval(tmp_path, factor):
     parameters = diagnose(load(cart(tmp_path / "rig", factor, 3))).as_dict()["parameters"]
     for symbol, true in SHEET.items():
