@@ -16,11 +16,13 @@ from greygate.mismatch.scales import noise
 from greygate.mismatch.uneven import resampled, varies
 from greygate.names import check_file_name
 from greygate.plants import kinds
-from greygate.plants.expressions import check_name
+from greygate.plants.expressions import check_name, is_symbol
 from greygate.plants.plant import SHORTEST as SHORTEST_STEP
 from greygate.plants.plant import Parameter, Plant
+from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording, check_sizes, run_name
-from greygate.plants.table import CsvTable, read_table
+from greygate.plants.table import CsvTable, read_header, read_table
+from greygate.progress import once
 from greygate.reading import line, listed, named, number, one_of, read_toml, table, within
 
 PLANTS = Path(__file__).parent.parent / "machines"  # NAME.toml in one of its folders is the plant NAME
@@ -220,7 +222,13 @@ class Rig:
             raise InputError(f"{where}: {samples} samples, {samples * self.dt:g} s; {wish}")
 
     def timed(self, path: Path | str, least: int = READABLE) -> tuple[Recording, list[str]]:
-        """The recording of `least` samples or more, and the column `t` as the file writes it."""
+        """The recording of `least` samples or more, and the column `t` as the file writes it.
+
+        A file in another form than a rig's is read as a log: names with units, which are converted.
+        """
+        if Path(path).exists() and not _plain(Path(path)):
+            logged = self._logged(path, least)
+            return logged, [f"{t:.9g}" for t in logged.time]
         table = read_table(path)
         path, header = table.path, table.header
         if header[0] != "t":
@@ -235,6 +243,20 @@ class Rig:
         check_sizes(channels, str(path))
         clock, channels, said = self._uniform(table, channels, units)
         return Recording(self.dt, channels, units, source=str(path), history=said), clock
+
+    def _logged(self, path: Path | str, least: int) -> Recording:
+        """The channels of a log that the rig has, at its sample time; a column without a unit has the rig's."""
+        found = read_recording(path, bare=True, told=once)
+        if abs(found.dt - self.dt) > JITTER * self.dt:
+            found = read_recording(path, bare=True, resample=self.dt, told=once)
+        if missing := [name for name in self.channels if name not in found.channels]:
+            raise InputError(f"{path}: no column {', '.join(missing)}; rig.toml names these channels")
+        units = {name: channel.unit for name, channel in self.channels.items()}
+        for name, unit in units.items():
+            if found.units[name] not in ("1", unit):
+                raise InputError(f"{path}: {name} is in {found.units[name]}, rig.toml has it in {unit}")
+        self._long_enough(found.samples, least, str(path))
+        return replace(found, dt=self.dt, channels={name: found[name] for name in units}, units=units)
 
     def _uniform(
         self, table: CsvTable, channels: Mapping[str, np.ndarray], units: Mapping[str, str]
@@ -251,6 +273,14 @@ class Rig:
                 return [f"{t:.9g}" for t in instants], channels, (said,)
         table.require_steps(steps, off, self.dt, "stands in rig.toml")
         return [row[0] for row in table.cells], dict(channels), ()
+
+
+def _plain(path: Path) -> bool:
+    """Whether a file is in a rig's own form, whatever is wrong with it: a CSV of `t` and names without units."""
+    if not path.name.lower().removesuffix(".gz").endswith(".csv"):
+        return False
+    header, _ = read_header(path)
+    return all(is_symbol(name) for name in header) and header[:1] not in (["t_s"], ["time"], ["time_s"])
 
 
 CHANNEL = {"unit": line, "role": one_of(("input", "output"))}

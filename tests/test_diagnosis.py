@@ -105,6 +105,24 @@ def test_a_simulation_is_written_at_the_times_of_the_recording(drum, tmp_path, g
     assert json.loads(printed)["rms"]["x_load"]["rms"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
 
 
+def test_a_log_is_simulated_as_init_rig_takes_it(drum, tmp_path, greygate):
+    """Units beside the names are converted, columns of others are left out, and the rig's own form is what it was."""
+    rows = [line.split(",") for line in (drum / "holdout.csv").read_text().split()]
+    header = ["time [ms]", "x_drum", "x_load [mm]", "oil [degC]"]
+    log = [[str(1e3 * float(t)), a, str(1e3 * float(b)), "20"] for t, a, b in rows[1:]]
+    (tmp_path / "log.csv").write_text("\n".join(map(",".join, [header, *log])) + "\n")
+    outs = []
+    for name, path in (("own", drum / "holdout.csv"), ("log", tmp_path / "log.csv")):
+        assert greygate("simulate", drum, path, "--out", tmp_path / f"{name}_out.csv")[0] == 0
+        outs.append(np.genfromtxt(tmp_path / f"{name}_out.csv", delimiter=",", names=True)["x_load"])
+    assert outs[0] == pytest.approx(outs[1], rel=1e-9)
+    header[2] = "x_load [V]"
+    (tmp_path / "log.csv").write_text("\n".join(map(",".join, [header, *log])) + "\n")
+    code, _, err = greygate("simulate", drum, tmp_path / "log.csv", "--out", tmp_path / "no.csv")
+    assert code == 2
+    assert "x_load is in V, rig.toml has it in m" in err
+
+
 @pytest.mark.parametrize(
     ("value", "ci95", "unit", "text"),
     [
