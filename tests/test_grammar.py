@@ -71,7 +71,7 @@ def test_a_recording_is_an_argument():
 def test_an_old_spelling_is_refused_in_a_line_with_what_it_is_called(old, new, greygate):
     code, printed, error = greygate(*old.split())
     assert (code, printed, error.count("\n")) == (2, "", 1)
-    assert error.endswith(f" It is called {new} now.\n")
+    assert error.endswith(f" (it is called {new} now)\n")
 
 
 @pytest.mark.parametrize("never", ["verify b --target up5k", "verify b --out c", "look a.csv --rows 3", "nothing"])

@@ -50,4 +50,4 @@ def renamed(error: Any) -> str:
     ):
         return ""
     new, options = OLD.get(refused[1], ""), {word for option in error.ctx.command.params for word in option.opts}
-    return f" It is called {new} now." if new and (new[:2] != "--" or new in options) else ""
+    return f" (it is called {new} now)" if new and (new[:2] != "--" or new in options) else ""
