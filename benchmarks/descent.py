@@ -19,9 +19,10 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.models.activations import ACTIVATIONS
+from greygate.models.cores import blas
 from greygate.models.network import Network
 from greygate.models.training.kernels import LANES, SELECT, Tables, forward, kernel, sensitivities, slopes_at
-from greygate.models.training.levenberg import STOP, Outcome, Trained, blas, stands
+from greygate.models.training.levenberg import STOP, Outcome, Trained, stands
 from greygate.models.training.loss import Decay, Loss
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record, held_out

@@ -3,17 +3,18 @@
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar, copy_context
-from functools import cache
+from functools import cache, wraps
 from time import perf_counter
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
-from greygate.models.cores import usable_cores
+from greygate.models.cores import blas, usable_cores
 
 FEW = 3  # items: fewer are done one after the other
 WORTH = 2e-3  # s that the first item takes: below, handing items to threads costs more than it saves
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
+Given = ParamSpec("Given")
 CORES = usable_cores()
 
 _inside = ContextVar("inside", default=False)
@@ -33,6 +34,17 @@ def each(function: Callable[[Item], Found], items: Iterable[Item]) -> list[Found
 
     running = [_pool().submit(copy_context().run, one, item) for item in items[1:]]  # with numpy's error state
     return first + [done.result() for done in running]
+
+
+def on_one_thread(function: Callable[Given, Found]) -> Callable[Given, Found]:
+    """`function` with one thread of BLAS: more are slower on matrices this small, and `each` takes the cores."""
+
+    @wraps(function)
+    def limited(*args: Given.args, **named: Given.kwargs) -> Found:
+        with blas().limit(limits=1, user_api="blas"):
+            return function(*args, **named)
+
+    return limited
 
 
 @cache

@@ -29,6 +29,7 @@ from greygate.mismatch.claims import (
 )
 from greygate.mismatch.closure import closure, left_beside
 from greygate.mismatch.coloured_selection import selected
+from greygate.mismatch.cores import on_one_thread
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import excited
@@ -60,6 +61,7 @@ AFTER = "what follows the search"  # in words, where there is no time for it
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 
 
+@on_one_thread
 @np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
 def diagnose(
     rig: Rig | Plant,

@@ -1,8 +1,16 @@
-"""How many cores this process may use."""
+"""How many cores this process may use, and what takes them."""
 
 import os
+from functools import cache
 
 from numba import config
+from threadpoolctl import ThreadpoolController
+
+
+@cache
+def blas() -> ThreadpoolController:
+    """The BLAS libraries that are loaded; finding them takes milliseconds."""
+    return ThreadpoolController()
 
 
 def usable_cores() -> int:

@@ -15,10 +15,10 @@ import scipy.linalg
 
 from greygate.errors import InputError
 from greygate.models.accuracy import pooled_rms
+from greygate.models.cores import blas
 from greygate.models.network import Network
 from greygate.models.prune import Pruning, Round, retrained, spareable
 from greygate.models.simplify import Graph, fold_constants, parameter_count
-from greygate.models.training.levenberg import blas
 from greygate.models.training.objective import Objective, traces
 from greygate.models.training.record import Record
 from greygate.progress import Progress, silent

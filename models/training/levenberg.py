@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
-from functools import cache, partial
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from threading import Event
@@ -14,11 +14,11 @@ from zipfile import BadZipFile
 
 import numpy as np
 import scipy.linalg
-from threadpoolctl import ThreadpoolController
 
 from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.files import replacing
+from greygate.models.cores import blas
 from greygate.models.network import Network
 from greygate.models.training.gauss_newton import Nielsen, bounded, search
 from greygate.models.training.loss import Decay, Loss
@@ -158,12 +158,6 @@ def train(
 def stands(lowest: Sequence[float], window: int, tolerance: float) -> bool:
     """Whether the lowest loss so far, by epoch, has fallen relatively by less than `tolerance` in the last `window`."""
     return len(lowest) > window and lowest[-1 - window] - lowest[-1] < tolerance * lowest[-1]
-
-
-@cache
-def blas() -> ThreadpoolController:
-    """The BLAS libraries that are loaded; finding them takes milliseconds."""
-    return ThreadpoolController()
 
 
 def _bounds(objective: Objective, bounds: Mapping[str, tuple]) -> tuple[np.ndarray, np.ndarray]:
