@@ -23,7 +23,7 @@ from greygate.plants.recording import Recording, read_csv
 from .made import ROOT
 from .shared import say, scratch, stopwatch
 
-TAKES = "ten minutes"
+TAKES = "half an hour"
 MACHINES = ROOT / "machines"
 
 

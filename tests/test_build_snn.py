@@ -30,6 +30,10 @@ viscous = [0.01, "N m s/rad", 0.2]
 [equations.rotation]
 w = { storage = "inertia", motor = "gain * u", viscous = "-viscous * w" }
 """
+FRICTION = {"f_w": {"value": 0.15}, "f_w_speed": {"value": 2.0}}
+NAMED = [{"id": "dry_friction", "form": "dry_friction", "equations": ["rotation"], "parameters": FRICTION}]
+TOLD = {"schema": "diagnosis/2", "plant": "motor", "verdict": "missing_physics", "effects": NAMED, "parameters": {}}
+OPEN = TOLD | {"verdict": "unexplained", "effects": []}
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +41,8 @@ def files(tmp_path_factory) -> Path:
     """motor.toml, two recordings of a motor that has dry friction too, and one of a motor that has none."""
     folder = tmp_path_factory.mktemp("motor")
     (folder / "motor.toml").write_text(MOTOR)
+    for name, told in {"told": TOLD, "open": OPEN}.items():
+        (folder / f"{name}.json").write_text(json.dumps(told))
     real = Plant.read(folder / "motor.toml").with_term("rotation", "dry", "-0.15 * tanh(w / 2.0)")
     plants = {"training": real, "held": real, "plain": Plant.read(folder / "motor.toml")}
     for seed, (name, plant) in enumerate(plants.items()):
@@ -49,7 +55,8 @@ def files(tmp_path_factory) -> Path:
 
 
 def built(files: Path, out: Path, **changed) -> dict:
-    given = {"tests": {"held": str(files / "held.csv")}, "sensors": (), "targets": (), "seconds": np.inf} | changed
+    given = {"tests": {"held": str(files / "held.csv")}, "sensors": (), "targets": (), "seconds": np.inf}
+    given |= {"diagnosis": files / "told.json"} | changed
     return build_files(files / "motor.toml", {"training": str(files / "training.csv")}, out=out, **given)
 
 
@@ -65,17 +72,18 @@ def test_it_beats_the_plants_own_simulation_and_a_linear_model_on_what_was_held_
     assert rms["network"] < 0.6 * rms["linear"]
 
 
-def test_decisions_name_the_term_and_the_reason(found):
-    (unknown, *_) = [d for d in found[0]["decisions"] if d["about"] == "rotation" and "unknown" in d["choice"]]
-    assert "error" in unknown["reason"]
-    assert not unknown["undone"]
+def test_decisions_name_the_effect_and_the_reason(found):
+    (named,) = [d for d in found[0]["decisions"] if d["step"] == "diagnose" and d["about"] == "rotation"]
+    assert named["choice"] == "dry friction"
+    assert named["reason"] == "the diagnosis names it: f_w = 0.15 N m, f_w_speed = 2 rad/s"
     assert all(d["about"] and d["choice"] and d["reason"] for d in found[0]["decisions"])
 
 
 def test_a_step_that_fails_is_undone_and_said_so(files, tmp_path):
     out = tmp_path / "out"
     arguments = ({"plain": str(files / "plain.csv")}, {}, (), (), np.inf, out)
-    (unknown,) = [d for d in build_files(files / "motor.toml", *arguments)["decisions"] if d["about"] == "rotation"]
+    done = build_files(files / "motor.toml", *arguments, diagnosis=files / "open.json")
+    (unknown,) = [d for d in done["decisions"] if d["about"] == "rotation"]
     assert unknown["undone"]
     assert "not below 0.98 of it" in unknown["reason"]
     assert "rotation: UNDONE: an unknown term of 4 neurons" in (out / "motor.decisions.txt").read_text()
@@ -124,13 +132,14 @@ def test_a_recording_that_does_not_do_is_refused_by_name(files, tmp_path, header
 
 def test_the_command_gives_json_and_the_next_command(files, tmp_path):
     arguments = ["build-snn", str(files / "motor.toml"), str(files / "training.csv"), "--out", str(tmp_path / "out")]
+    arguments += ["--diagnosis", str(files / "told.json")]
     done = CliRunner().invoke(app, [*arguments, "--json"])
     assert done.exit_code == 0
     found = json.loads(done.stdout)
     assert found["next"].startswith("next: greygate compile ")
     assert set(found["rms"]["network"]) == {"training", "training end"}
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        "motor.toml", "motor.safetensors", "motor.json", "motor.decisions.txt"
+        "motor.toml", "motor.safetensors", "motor.json", "motor.decisions.txt", "motor.diagnosis.json"
     }  # fmt: skip
 
 

@@ -18,6 +18,7 @@ Trained = Annotated[
         metavar="NETWORK", help="A name of the catalogue, `list`, or NAME.toml.", autocompletion=words.catalogued
     ),
 ]
+RIVALS = ("nominal", "corrected", "linear")  # of a structured network
 OWN_TRAINING = (  # options of a user's network
     *("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds"),
     *("seeds", "jobs", "offset", "gain", "html"),
@@ -212,11 +213,14 @@ def build_snn(
         list[str], typer.Option(metavar="CHANNEL", help="An output of the plant that is measured in the field too.")
     ] = [],
     output: Annotated[list[str], words.OUTPUT] = [],
+    diagnosis: Annotated[Path | None, words.DIAGNOSIS] = None,
     seconds: Annotated[float, words.SECONDS] = float("inf"),
     as_json: Json = False,
 ) -> None:
     """Build a structured network from a plant's equations.
 
+    It diagnoses the recordings first, unless --diagnosis tells what they say: an effect that is named becomes its own
+    module. The network integrates as exactly as the plant needs; where it cannot, the command says which term is why.
     It says what was decided and why. Without --test the end of each recording judges; without --output every output on
     record that is no sensor's is predicted. Exit code 1 if the plant's own simulation is better on what was kept to
     test on; the network is written then too.
@@ -224,11 +228,15 @@ def build_snn(
     from greygate.identify.expert.files import build_files
 
     with following("building") as progress:
-        found = build_files(plant, recordings(record), recordings(test), sensor, output, seconds, out, progress)
+        found = build_files(
+            plant, recordings(record), recordings(test), sensor, output, seconds, out, progress, diagnosis
+        )
     lines = [str(line) for line in found["text"]]
     for name, by_target in found["rms"]["network"].items():
         for port, error in by_target.items():
-            others = ", ".join(f"{who} {finite(found['rms'][who][name][port], '.4g')}" for who in ("nominal", "linear"))
+            others = ", ".join(
+                f"{who} {finite(found['rms'][who][name][port], '.4g')}" for who in ("nominal", "corrected", "linear")
+            )
             lines.append(f"{name:12} {port:10} RMSE {finite(error, '.4g')} ({others})")
     told = {n: v for n, v in found.items() if n != "text"}
     give("build-snn", told, as_json, [*lines, f"written to {found['out']}", found["next"]], found["better"])

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from time import monotonic
 
 import numpy as np
@@ -15,12 +16,17 @@ import numpy as np
 from greygate.compiler.pipeline import entropy_pruning
 from greygate.errors import InputError
 from greygate.identify.baseline import linear, of_one
+from greygate.identify.expert.acting import acting
 from greygate.identify.expert.decisions import Log
+from greygate.identify.expert.diagnosed import READS, Corrected, asked, correct
+from greygate.identify.expert.integration import SCHEMES, UNSTABLE
 from greygate.identify.expert.parts import Part
+from greygate.identify.expert.refined import refined
 from greygate.identify.expert.task import Task
-from greygate.identify.expert.wiring import Choices, Joined, Wiring, poor
+from greygate.identify.expert.wiring import Choices, Joined, Wiring, plain, poor
+from greygate.mismatch.diagnose import OPEN_VERDICTS
 from greygate.models.accuracy import Errors, float_error, free_run_rms, rms
-from greygate.models.network import Network
+from greygate.models.network import Network, Port, Runner
 from greygate.models.prune import retrained
 from greygate.models.saliency import obs, saliency_pruning
 from greygate.models.simplify import parameter_count, simplify
@@ -31,23 +37,33 @@ from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent
 
 JUDGED, TESTED = 0.25, 0.2  # of each recording, its end: for decisions, and to test where nothing else is given
+BLOCKS = 4  # of what is held out of each recording: a step must help in most of them
 GAIN = 0.98  # of the error before: what a step that adds something must reach
 ALLOWED = 1.02  # of the error before: what a step that removes something may reach
 TAPS, NEURONS = 4, (4, 8)
 EPOCHS, REFIT, REMOVAL = 25, 15, 4
 DECAY = 1e-6
+FINE, COARSE = 1e-3, 1e-2  # of the plant's motion: where no finer integration is tried, and what none may miss
+DIAGNOSING = 120.0  # s, after which a diagnosis tries nothing further
+ROUNDS, SLOPE = 8, 1e-7  # of Newton's method for a state before the first sample; of its scale, for a difference
+ALIKE = 1.25  # of the least miss, within which the cheaper integration is as good
+FEW = 4  # evaluations a sample, with which no more are tried where a part only comes near its term
 EXERCISED = (0.85, 1.15)  # of an input, in an exercise
 REHEARSAL = 10.0  # times as much as the recordings count all samples of what a part stands for
 
 
 @dataclass(frozen=True)
 class Built:
-    """network, and figures by step; rms: who -> recording -> target -> RMS error, in its unit."""
+    """network, and figures by step; rms: who -> recording -> target -> RMS error, in its unit.
+
+    diagnosis: what it was built after; None where there is none.
+    """
 
     network: Network
     log: Log
     rms: Mapping[str, Errors]
     seconds: float
+    diagnosis: Mapping | None = None
 
 
 @dataclass(frozen=True)
@@ -68,40 +84,116 @@ def build(
     targets: Sequence[str] = (),
     seconds: float = np.inf,
     progress: Progress = silent,
+    diagnosis: Mapping | None = None,
 ) -> Built:
     """Build the network of a plant. recordings: to train on; tests: to judge the result on, else ends of the former.
 
+    diagnosis: of the plant; else the recordings are diagnosed first, without the ends that decide.
     Raises InputError for a plant or recordings that no network can be made of.
     """
     began = monotonic()
-    task = Task.of(plant, [*recordings.values(), *tests.values()], sensors, targets)
-    expert = Expert(task, recordings, tests, began + seconds, progress)
+    given = Task.of(plant, [*recordings.values(), *tests.values()], sensors, targets)
+    log, known = Log(), given
+    if diagnosis is None:
+        diagnosis = diagnosed(given, recordings, bool(tests), min(DIAGNOSING, seconds / 2), log, progress)
+    if diagnosis is not None:
+        found = correct(given, [*recordings.values()], diagnosis)
+        known = corrected_task(given, found, sensors, diagnosis, log)
+        known = best_fit(known, given, recordings, bool(tests), found.own, log, progress)
+    remains = diagnosis is None or diagnosis.get("verdict") in OPEN_VERDICTS
+    expert = Expert(known, given, recordings, tests, began + seconds, log, progress, remains)
     network = expert.built()
     progress("training a linear model to compare with")
-    return Built(network, expert.log, expert.scores(network), monotonic() - began)
+    return Built(network, expert.log, expert.scores(network), monotonic() - began, diagnosis)
+
+
+def parts_of(recordings: Mapping[str, Recording], tested: bool) -> tuple[dict[str, int], dict[str, int]]:
+    """Samples of each recording: (to train on, of these those that no decision is made on)."""
+    ends = {n: r.samples if tested else int((1 - TESTED) * r.samples) for n, r in recordings.items()}
+    return ends, {n: int((1 - JUDGED) * end) for n, end in ends.items()}
+
+
+def diagnosed(
+    task: Task, recordings: Mapping[str, Recording], tested: bool, seconds: float, log: Log, progress: Progress
+) -> Mapping | None:
+    """The diagnosis of what is trained on; None, with the reason in the log, where there is none."""
+    _, heads = parts_of(recordings, tested)
+    try:
+        found = asked(task, [upto(r, heads[n]) for n, r in recordings.items()], seconds, progress)
+    except InputError as problem:
+        log("diagnose", task.plant.name, "the data sheet as it is", f"no diagnosis: {problem}", undone=True)
+        return None
+    return found
+
+
+def corrected_task(task: Task, found: Corrected, sensors: Sequence[str], diagnosis: Mapping, log: Log) -> Task:
+    """The task of the plant as a diagnosis corrects it."""
+    what = ", ".join(f"{s} {p['value']:.4g}" for s, p in diagnosis["parameters"].items()) or "the data sheet's values"
+    log("diagnose", found.plant.name, what, f"the verdict is {diagnosis.get('verdict', 'told')}")
+    for where, what, why in found.said:
+        log("diagnose", where, what, why)
+    reduced = diagnosis.get(READS) == list(task.inputs)
+    made = Task.over(found.plant, task.step, task.inputs, () if reduced else sensors, task.targets)
+    return replace(made, measured=task.measured, filters=found.filters, readings=found.readings)
+
+
+def best_fit(
+    task: Task, given: Task, recordings: Mapping[str, Recording], tested: bool, own: Mapping[str, str], log: Log,
+    progress: Progress,
+) -> Task:  # fmt: skip
+    """The diagnosed task refined in free run, where that is better on what decides. given: that of the data sheet."""
+    ends, heads = parts_of(recordings, tested)
+    fitted = [upto(r, heads[n]) for n, r in recordings.items()]
+    judged = {n: upto(r, ends[n]) for n, r in recordings.items()}
+
+    def left(task: Task) -> float:
+        try:
+            runs = {n: task.nominal(r) for n, r in judged.items()}
+        except InputError:  # it diverges
+            return np.inf
+        errors = [rms(runs[n][t] - r[t], heads[n]) / (float(np.std(r[t])) or 1.0) for n, r in judged.items()
+                  for t in task.targets]  # fmt: skip
+        return float(np.sqrt(np.mean(np.square(errors))))
+
+    best, before = task, left(task)
+    for what, other in refined(task, given.plant.parameters, fitted, own, progress):
+        error = left(other)
+        undone = not error < GAIN * before
+        moved = {s: p.value for s, p in other.plant.parameters.items() if p != best.plant.parameters.get(s)}
+        values = ", ".join(f"{s} {v:.4g}" for s, v in moved.items())
+        why = f"error {before:.3g} to {error:.3g} where it was not fitted"
+        log("refine", task.plant.name, f"{what}: {values}", why, undone)
+        best, before = (best, before) if undone else (other, error)
+    return best
+
+
+def upto(recording: Recording, stop: int) -> Recording:
+    """The first samples of a recording."""
+    cut = {c: v[:stop] for c, v in recording.channels.items()}
+    return Recording(recording.dt, cut, recording.units, recording.source)
 
 
 class Expert:
     """One building."""
 
     def __init__(
-        self, task: Task, recordings: Mapping[str, Recording], tests: Mapping[str, Recording], until: float,
-        progress: Progress,
+        self, task: Task, given: Task, recordings: Mapping[str, Recording], tests: Mapping[str, Recording],
+        until: float, log: Log, progress: Progress, remains: bool = True,
     ):  # fmt: skip
-        self.task, self.until, self.progress = task, until, progress
-        self.log = Log()
+        self.task, self.until, self.progress, self.log, self.remains = task, until, progress, log, remains
         self.recordings, self.tests = recordings, tests
-        shares = {n: len(r.time) if tests else int((1 - TESTED) * len(r.time)) for n, r in recordings.items()}
-        self.ends = shares
-        self.heads = {n: int((1 - JUDGED) * end) for n, end in shares.items()}
+        self.ends, self.heads = parts_of(recordings, bool(tests))
         self.nominal = {n: task.nominal(r) for n, r in {**recordings, **tests}.items()}
+        self.given = self.nominal
+        if given is not task:
+            self.given = {n: given.nominal(r) for n, r in {**recordings, **tests}.items()}
         known = {n: self._known(n) for n in recordings}
         names = next(iter(known.values()))
         self.signals = {s: np.concatenate([known[n][s][: self.ends[n]] for n in known]) for s in names}
         measured = {t: np.concatenate([r[t][: self.ends[n]] for n, r in recordings.items()]) for t in task.targets}
         self.sizes = {t: float(np.std(v)) or 1.0 for t, v in measured.items()}
         self.parts: dict[str, Part] = {}
-        self.states: Mapping[str, tuple[str, float]] = {}
+        self.begins: dict[str, dict] = {}
         where = "the recordings given to test on" if tests else f"the last {TESTED:.0%} of each recording"
         inputs, share = ", ".join(task.inputs), f"the last {JUDGED:.0%} of what is trained on"
         self.log("task", ", ".join(task.targets), f"predicted from {inputs}", f"{task.plant.name} has them so")
@@ -115,11 +207,9 @@ class Expert:
     # ---- records
 
     def record(self, name: str) -> Record:
-        """A recording as the network learns it: states that it predicts start as measured."""
+        """A recording as the network learns it: at its first sample the states that it predicts are as measured."""
         recording = {**self.recordings, **self.tests}[name]
-        found, targets = self.task.record(recording), self.task.targets
-        start = {path: np.array([recording[s][0] / size]) for path, (s, size) in self.states.items() if s in targets}
-        return replace(found, initial={**found.initial, **start})
+        return replace(self.task.record(recording), initial=dict(self.begins.get(name, {})))
 
     def fitted(self) -> list[Record]:
         return [self.record(n).cut(0, head) for n, head in self.heads.items()]
@@ -127,28 +217,39 @@ class Expert:
     def judges(self) -> list[Record]:
         return [self.record(n).cut(0, self.ends[n], skip=head) for n, head in self.heads.items()]
 
+    def by_block(self, network: Network) -> list[float]:
+        """The error in each of the blocks that decide: parts of what is held out of each recording."""
+        found = []
+        for judge in self.judges():
+            ends = np.linspace(judge.skip, len(judge), BLOCKS + 1).astype(int)
+            pieces = [judge.cut(0, stop, skip=start) for start, stop in pairwise(ends.tolist())]
+            found += [self.error(network, [piece]) for piece in pieces]
+        return found
+
     def error(self, network: Network, records: Sequence[Record]) -> float:
         """RMS over all records of the targets' errors, each over the deviation of its target; inf where it diverges."""
         found = [free_run_rms(network, r)[t] / self.sizes[t] for r in records for t in self.task.targets]
         return float(np.sqrt(np.mean(np.square(found))))
 
     def scores(self, network: Network) -> dict[str, Errors]:
-        """RMS error of the network, the plant's own simulation and linear models, by recording and target, in its unit.
+        """RMS error of the network, of the plant's own simulation as given and as diagnosed, and of linear models,
+        by recording and target, in its unit.
 
         Of a recording that is learnt in part, its end apart.
         """
-        found: dict[str, Errors] = {"network": {}, "nominal": {}, "linear": {}}
+        found: dict[str, Errors] = {"network": {}, "nominal": {}, "corrected": {}, "linear": {}}
         learnt, targets = [self.record(n).cut(0, end) for n, end in self.ends.items()], self.task.targets
         rivals = {t: linear([of_one(r, t) for r in learnt]) for t in targets}
         for name, recording in {**self.recordings, **self.tests}.items():
-            record, simulated = self.record(name), self.nominal[name]
+            record, simulated = self.record(name), {"nominal": self.given[name], "corrected": self.nominal[name]}
             spans = {name: (0, self.ends.get(name, len(record)))}
             if name in self.recordings and not self.tests:
                 spans[f"{name} end"] = (self.ends[name], len(record))
             for label, (start, stop) in spans.items():
                 cut = record.cut(0, stop, skip=start)
                 found["network"][label] = free_run_rms(network, cut)
-                found["nominal"][label] = {t: rms((simulated[t] - recording[t])[start:stop]) for t in targets}
+                for who, run in simulated.items():
+                    found[who][label] = {t: rms((run[t] - recording[t])[start:stop]) for t in targets}
                 found["linear"][label] = {t: free_run_rms(rival, of_one(cut, t))[t] for t, rival in rivals.items()}
         return found
 
@@ -167,7 +268,7 @@ class Expert:
             for turn in turns:
                 record = self.record(name).cut(0, head // 2)
                 moved = {n: v * turn.get(n, 1.0) for n, v in record.inputs.items()}
-                first = {n: float(v[0]) for n, v in moved.items()}
+                first = {n: float(v[0]) for n, v in moved.items() if n in self.task.measured}
                 record = replace(record, inputs=moved, initial={**record.initial, **first})
                 with suppress(InputError):
                     found.append(replace(record, targets=_answers(network, record)))
@@ -176,9 +277,24 @@ class Expert:
     # ---- steps
 
     def join(self, choices: Choices) -> Joined:
-        joined = Wiring(self.task, self.signals, choices, self.parts, self.log).join()
-        self.states = joined.states
+        first = {n: float(next(iter(self.recordings.values()))[n][0]) for n in self.task.inputs}
+        joined = Wiring(self.task, self.signals, first, choices, self.parts, self.log).join()
+        self.begins = {n: self._begun(joined, n) for n in {**self.recordings, **self.tests}}
+        first = self.begins[next(iter(self.recordings))]
+        for path in joined.states:
+            joined.network.modules[path] = replace(joined.network.layers()[path], initial=np.atleast_1d(first[path]))
         return joined
+
+    def _begun(self, joined: Joined, name: str) -> dict[str, float | np.ndarray]:
+        """What a network is before the first sample, so that its states are there as the recording's or the plant's."""
+        recording, network = {**self.recordings, **self.tests}[name], joined.network
+        found: dict[str, float | np.ndarray] = {n: float(recording[n][0]) for n in self.task.measured}
+        for n, filters in self.task.filters.items():
+            behind = Network(n, [Port(n)])
+            acting(behind, n, network.port(n).scale, filters, float(recording[n][0]), self.task.step)
+            found |= {path: layer.initial for path, layer in behind.layers().items()}
+        wanted = {path: self.nominal[name][s][0] / size for path, (s, size) in joined.states.items()}
+        return found | before(network, {n: recording[n][0] for n in self.task.inputs}, found, wanted)
 
     def train(self, joined: Joined, records: Sequence[Record], epochs: int = EPOCHS) -> Network:
         """The network trained in free run on these records, its parts rehearsed on what they stand for."""
@@ -186,7 +302,7 @@ class Expert:
         rehearse = {n: replace(r, weight=REHEARSAL * samples / len(r)) for n, r in joined.rehearse.items()}
         fit = train(
             joined.network, records, epochs=epochs, decay=DECAY, rehearse=rehearse, bounds=joined.bounds,
-            seconds=self.left(), progress=self.progress,
+            tied=joined.tied, seconds=self.left(), progress=self.progress,
         )  # fmt: skip
         return joined.network.with_parameters(fit.network.parameters())
 
@@ -204,27 +320,72 @@ class Expert:
     def assembled(self) -> Candidate:
         """The plant's own equations as a network, with every input as it is best read."""
         self.progress("joining")
-        choices = Choices(free=not self.join(Choices()).rehearse)
-        joined = self.join(choices)
-        best = Candidate(joined, joined.network, choices, self.error(joined.network, self.fitted()))
+        best = self.integrated()
+        begins = self.begins
         for name in self.task.inputs:
-            if name not in self.task.plant.inputs or f"mean_{name}" not in joined.network.modules:
+            if name in self.task.measured or self.task.filters.get(name):
                 continue
-            choices = replace(best.choices, held=best.choices.held | {name})
+            choices = replace(best.choices, straight=best.choices.straight | {name})
             other = self.join(choices)
             error = self.error(other.network, self.fitted())
-            held = error < best.error
+            straight = error < GAIN * best.error
             less, more = sorted((error, best.error))
             said = f"the plant's own error is {less:.3g} so and {more:.3g} otherwise"
-            self.log("join", name, "held over a sample" if held else "straight from sample to sample", said)
-            best = Candidate(other, other.network, choices, error) if held else best
+            self.log("join", name, "straight from sample to sample" if straight else "held over a sample", said)
+            if straight:
+                best, begins = Candidate(other, other.network, choices, error), self.begins
+        self.begins = begins
         judged = self.error(best.network, self.judges())
         size = f"{len(best.network.layers())} layers, {parameter_count(best.network)} parameters"
         why = f"its equations ask for them; error {judged:.3g} of the deviation of the targets before training"
         self.log("join", self.task.plant.name, size, why)
         return replace(best, error=judged)
 
+    def integrated(self) -> Candidate:
+        """The cheapest integration with which the network is the plant. Raises InputError where none is.
+
+        Where a part is a network that only comes near its term, no integration can make up for that, but training may.
+        """
+        term, turns = self.task.fastest(self.signals)
+        found: list[tuple[float, Choices]] = []
+        near: list[str] = []
+        for scheme in SCHEMES:
+            if turns > UNSTABLE * scheme.substeps and scheme != SCHEMES[-1]:
+                continue
+            choices = Choices(scheme=scheme, straight=self.task.measured)
+            network = self.join(choices).network
+            found.append((self.away(network), choices))
+            near = [plain(name) for name, module in network.modules.items() if isinstance(module, Network)]
+            if found[-1][0] <= FINE or (near and scheme.evaluations >= FEW):
+                break
+        least = min(away for away, _ in found)
+        away, choices = next(pair for pair in found if pair[0] <= max(FINE, ALIKE * least))
+        why = f"{term} turns by {turns:.2g} in a sample of {self.task.step:g} s" if term else "no term of it is fast"
+        missed = f"it misses the plant's own simulation by {away:.2g} of its motion"
+        if not away <= COARSE and not (near and np.isfinite(away)):
+            raise InputError(
+                f"plant {self.task.plant.name}: no network of it: {why}, and with {choices.scheme} {missed}, "
+                f"{COARSE:g} is allowed; record faster, or soften the term"
+            )
+        if not away <= COARSE:
+            missed += f", because {', '.join(dict.fromkeys(near))} only come near their terms"
+        self.log("join", "integration", str(choices.scheme), f"{why}; {missed}")
+        joined = self.join(choices)
+        return Candidate(joined, joined.network, choices, self.error(joined.network, self.fitted()))
+
+    def away(self, network: Network) -> float:
+        """By how much a network misses the plant's simulation: RMS over its motion, of the target it misses most."""
+        found = []
+        for name, head in self.heads.items():
+            plant = {t: self.nominal[name][t][:head] for t in self.task.targets}
+            missed = free_run_rms(network, replace(self.record(name).cut(0, head), targets=plant))
+            found += [missed[t] / (float(np.std(plant[t])) or self.sizes[t]) for t in self.task.targets]
+        return max(found)
+
     def trained(self, start: Candidate) -> Candidate:
+        if not trainable(start.network):
+            self.log("train", "the whole", "nothing", "every weight of it is the plant's own")
+            return start
         self.progress("training")
         network = self.train(start.joined, self.fitted())
         error = self.error(network, self.judges())
@@ -238,7 +399,9 @@ class Expert:
         if rates := [rate for rate in self.task.rates if not poor(self.signals[rate])]:
             wider = replace(best.choices, taps=TAPS)
             best = self.tried(best, wider, ", ".join(rates), f"each rate from {TAPS} differences")
-        for place in self.places():
+        if not self.remains:
+            self.log("widen", self.task.plant.name, "no unknown terms", "the diagnosis leaves nothing to explain")
+        for place in self.places() if self.remains else ():
             for neurons in NEURONS:
                 wider = replace(best.choices, unknown={**best.choices.unknown, place: neurons})
                 before, best = best, self.tried(best, wider, place, f"an unknown term of {neurons} neurons")
@@ -266,7 +429,7 @@ class Expert:
             self.log("widen", about, f"{what} not tried", "the time is used up")
             return best
         self.progress(f"trying {what} ({about})")
-        parts = self.parts
+        parts, begins, of_best = self.parts, self.begins, self.by_block(best.network)
         if choices.larger != best.choices.larger:
             self.parts = {n: p for n, p in parts.items() if p.of_library}
         try:
@@ -276,15 +439,17 @@ class Expert:
             joined.network = joined.network.with_parameters(same)
             network = self.train(joined, self.fitted())
         except InputError as problem:
-            self.parts, self.states = parts, best.joined.states
+            self.parts, self.begins = parts, begins
             self.log("widen", about, what, str(problem), undone=True)
             return best
         error = self.error(network, self.judges())
-        undone = not error < GAIN * best.error
-        why = f", not below {GAIN:g} of it" if undone else ""
-        self.log("widen", about, what, f"error {best.error:.3g} to {error:.3g}{why}", undone)
+        better = sum(a < b for a, b in zip(self.by_block(network), of_best, strict=True))
+        undone = not (error < GAIN * best.error and 2 * better > len(of_best))
+        why = f", not below {GAIN:g} of it" if not error < GAIN * best.error else ""
+        said = f"error {best.error:.3g} to {error:.3g}{why}, less in {better} of {len(of_best)} blocks"
+        self.log("widen", about, what, said, undone)
         if undone:
-            self.parts, self.states = parts, best.joined.states
+            self.parts, self.begins = parts, begins
             return best
         return Candidate(replace(joined, network=network), network, choices, error)
 
@@ -323,6 +488,8 @@ class Expert:
 
     def refitted(self, best: Candidate) -> Candidate:
         """The structure that is decided on, trained on the whole of the recordings."""
+        if not trainable(best.network):
+            return best
         self.progress("training on the whole recordings")
         whole = [self.record(n).cut(0, end) for n, end in self.ends.items()]
         before = self.error(best.network, whole)
@@ -334,6 +501,39 @@ class Expert:
         return best if undone else replace(best, network=network)
 
 
+def before(
+    network: Network,
+    inputs: Mapping[str, float],
+    initial: Mapping[str, float | np.ndarray],
+    wanted: Mapping[str, float],
+) -> dict[str, float | np.ndarray]:
+    """The states before the first sample, by layer, normalised, after which they are as wanted: Newton's method.
+
+    inputs: at the first sample. initial: of what is no state. Where no such states are found, the wanted ones.
+    """
+    flat, paths, goal = network.flatten(), [*wanted], np.array([*wanted.values()])
+
+    def missed(at: np.ndarray) -> np.ndarray:
+        runner = Runner(flat, {**initial, **dict(zip(paths, at, strict=True))})
+        answer = runner.step({n: np.array([v]) for n, v in inputs.items()}, trace=True)
+        return np.array([float(answer[path][0]) for path in paths]) - goal
+
+    at, error = goal, missed(goal) if paths else goal
+    for _ in range(ROUNDS if paths else 0):
+        slopes = np.stack([(missed(at + SLOPE * row) - error) / SLOPE for row in np.eye(len(at))], axis=1)
+        trial = at - np.linalg.lstsq(slopes, error)[0]
+        left = missed(trial)
+        if not np.abs(left).max() < np.abs(error).max():
+            break
+        at, error = trial, left
+    return dict(zip(paths, map(float, at), strict=True))
+
+
 def _answers(network: Network, record: Record) -> dict[str, np.ndarray]:
     errors = float_error(network, record)
     return {n: record.targets[n] + e for n, e in errors.items()}
+
+
+def trainable(network: Network) -> bool:
+    """Whether training may move any weight."""
+    return any({*layer.weights, "bias"} - layer.frozen for layer in network.layers().values())

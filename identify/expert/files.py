@@ -9,6 +9,7 @@ from greygate.files import making, replacing, writing
 from greygate.identify.expert.building import Built, build
 from greygate.identify.expert.decisions import Decision
 from greygate.mismatch.rig import load
+from greygate.mismatch.simulation import read as read_diagnosis
 from greygate.models.accuracy import Errors
 from greygate.plain import Count, json_text, plain
 from greygate.plants.plant import Plant
@@ -22,7 +23,7 @@ RIG = "rig.toml"
 class BuiltFacts(TypedDict):
     """A structured network from a plant's equations. Errors are RMS; null where it diverges."""
 
-    rms: Annotated[dict[str, Errors], "network, nominal, linear -> recording -> target -> RMS."]
+    rms: Annotated[dict[str, Errors], "network, nominal, corrected, linear -> recording -> target -> RMS."]
     decisions: list[Decision]
     better: NotRequired[bool]
     seconds: NotRequired[float]
@@ -40,10 +41,12 @@ def build_files(
     seconds: float,
     out: Path,
     progress: Progress = silent,
+    diagnosis: Path | None = None,
 ) -> dict:
     """Build the network of the plant in a file or of a rig, and write it with its figures and decisions to a folder.
 
-    Returns the figures. Raises InputError as `build`, before anything is written.
+    diagnosis: a diagnosis.json of the plant, or one that an earlier build wrote; else the recordings are diagnosed, and
+    NAME.diagnosis.json keeps it. Returns the figures. Raises InputError as `build`, before anything is written.
     """
     if both := set(recordings) & set(tests):
         raise InputError(f"{min(both)} is both a recording to train on and one to test on; rename one of them")
@@ -53,9 +56,10 @@ def build_files(
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is not a folder; give another one")
     plant, found = read(where, files)
-    used = {n: found[n] for n in recordings}
+    used, told = {n: found[n] for n in recordings}, None if diagnosis is None else read_diagnosis(diagnosis)
     with making(out), writing(out):
-        built = build(plant, used, {n: found[n] for n in tests}, sensors, targets, seconds, progress)
+        judges = {n: found[n] for n in tests}
+        built = build(plant, used, judges, sensors, targets, seconds, progress, told)
         return _written(built, {n: files[n] for n in found}, out)
 
 
@@ -75,6 +79,9 @@ def _written(built: Built, files: Mapping[str, str], out: Path) -> dict:
     built.network.save(out / name, json_text(plain(kept)))
     with replacing(out / f"{name}.decisions.txt") as path:
         path.write_text(built.log.text, encoding="utf-8")
+    if built.diagnosis is not None:
+        with replacing(out / f"{name}.diagnosis.json") as path:
+            path.write_text(json_text(plain(built.diagnosis)), encoding="utf-8")
     judged = [n for n in built.rms["network"] if n not in files or n != first]
     command = f"greygate compile {out / name}.toml {next(iter(files.values()))} --out {out / 'compiled'}"
     about = {"better": _better(built, judged), "seconds": round(built.seconds, 1), "neurons": built.network.neurons()}

@@ -56,6 +56,11 @@ def linear(node: Node, resolve: Resolve) -> Form | None:
         case Signed(sign, of):
             inner = linear(of, resolve)
             return inner and inner.times(Form(-1.0 if sign == "-" else 1.0))
+        case Call("when", (condition, of)):
+            acts = linear(condition, resolve)
+            if acts is None or not acts.is_constant:
+                return None
+            return linear(of, resolve) if acts.constant else Form()
         case Call(function, given):
             return _constant(FUNCTIONS[function], [linear(part, resolve) for part in given])
         case Operation(sign, left, right):

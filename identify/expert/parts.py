@@ -14,7 +14,7 @@ from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 
-CURVES = ("flow",)  # library networks of several signals that a term may be as it stands
+CURVES = ("flow", "square_root")  # library networks that a term may be as it stands
 SAME = 1e-6  # of the size of a term: what a library function may differ from it
 SIZES = (4, 8, 12, 20)  # neurons, in the order of trying
 GOAL = 2e-3  # of a term's largest value, RMS: a network that misses it is given more neurons
@@ -54,8 +54,7 @@ def part(
     names, which a library function may take for 1. step: how many sizes to pass over. Raises nothing: a term that no
     network meets keeps the best one, and the log says by how much it misses.
     """
-    found = _of_library(name, function, on_record, ends, log) if len(on_record) == 2 else None
-    return found or _trained(name, function, on_record, step, log)
+    return _of_library(name, function, on_record, ends, log) or _trained(name, function, on_record, step, log)
 
 
 def _of_library(
@@ -65,9 +64,14 @@ def _of_library(
     for curve in CURVES:
         known = entry(curve)
         ports = list(known.ranges)
+        if len(ports) != len(on_record):
+            continue
         for order in permutations(on_record):
             pairs = zip(order, ports, strict=True)
-            spans = [_spans(on_record[signal], known.ranges[port], ends[signal]) for signal, port in pairs]
+            spans = [
+                _spans(on_record[signal], known.ranges[port], [*ends[signal], _reach(on_record[signal])])
+                for signal, port in pairs
+            ]
             for scales in product(*spans):
                 size = _ratio(known, function, dict(zip(order, scales, strict=True)))
                 if size is None:
@@ -78,6 +82,11 @@ def _of_library(
                 sizes = dict(zip(order, scales, strict=True))
                 return Part(_renamed(known.network, names), sizes, size, _grid(known, names), of_library=True)
     return None
+
+
+def _reach(values: np.ndarray) -> float:
+    """The largest that a signal may become: of a term that looks alike in every size, such as a root."""
+    return (1 + MARGIN) * float(np.abs(values).max())
 
 
 def _spans(values: np.ndarray, within: tuple[float, float], ends: Sequence[float]) -> list[float]:

@@ -1,21 +1,25 @@
 """The part of a plant that a network is to compute: from what is measured in the field to what is not."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from greygate.errors import InputError
+from greygate.identify.expert.acting import Filter
+from greygate.mismatch.model import FILTERS
 from greygate.models.sampling import same
 from greygate.models.training.record import Record
 from greygate.plants.closure import Closure
-from greygate.plants.expressions import names
-from greygate.plants.plant import Definition, Plant
+from greygate.plants.expressions import names, parse
+from greygate.plants.plant import Definition, Equation, Plant, Values
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import simulate
 
 SHORTEST = 40  # samples of a recording
+GRID = 2001  # values of a state at which a term is asked how fast it turns
+SAME = 1e-6  # of a slope, by which that of a linear term differs by rounding
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,8 @@ class Task:
     """plant: with the values of the data sheet. inputs: recorded signals that the network reads. targets: its outputs.
 
     rates: signal -> the measured signal whose rate it is, and how the plant derives it. step: sample time in s.
+    measured: inputs that no converter holds, which go straight from one sample to the next.
+    filters, readings: how an input acts and what a target's sensor adds, as a diagnosis says.
     """
 
     plant: Plant
@@ -30,6 +36,9 @@ class Task:
     targets: tuple[str, ...]
     rates: Mapping[str, tuple[str, str]]
     step: float
+    measured: frozenset[str] = frozenset()
+    filters: Mapping[str, Sequence[Filter]] = field(default_factory=dict)
+    readings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -69,7 +78,50 @@ class Task:
                     raise InputError(f"{recording.source}: {name} is in {unit}; convert it to {plant.unit(name)}")
         if not inputs:
             raise InputError(f"plant {plant.name}: {', '.join(targets)} depends on no recorded input; name a --sensor")
-        return replace(task, inputs=inputs, rates={n: v for n, v in task.rates.items() if n in needed})
+        rates = {n: v for n, v in task.rates.items() if n in needed}
+        straight = frozenset({*sensors, *(source for source, _ in rates.values())} & {*inputs})
+        return replace(task, inputs=inputs, rates=rates, measured=straight)
+
+    @classmethod
+    def over(
+        cls, plant: Plant, step: float, inputs: Sequence[str], sensors: Sequence[str], targets: Sequence[str]
+    ) -> "Task":
+        """The task of a plant that is known to have recordings with these inputs and targets."""
+        task = cls(plant, tuple(inputs), tuple(targets), _rates(plant, sensors), step)
+        needed = task._needed({*inputs})
+        return replace(task, rates={n: v for n, v in task.rates.items() if n in needed})
+
+    def fastest(self, signals: Mapping[str, np.ndarray]) -> tuple[str, float]:
+        """The term that is not linear and turns fastest along the signals, as "place.term"; by how much in a sample.
+
+        "" and 0 where every term is linear.
+        """
+        plant, found = self.reduced, ("", 0.0)
+        for name, equation in plant.equations.items():
+            for term, text in equation.terms.items():
+                for state in self.states:
+                    turns = self._turns(plant, equation, text, state, signals) * self.step
+                    found = max(found, (f"{name}.{term}", turns), key=lambda pair: pair[1])
+        return found
+
+    @staticmethod
+    def _turns(plant: Plant, equation: Equation, text: str, state: str, signals: Mapping[str, np.ndarray]) -> float:
+        """The largest change of a term's share in its rate with its state, 1/s; 0 where it is the same all along.
+
+        With the integral of its state, as of a spring: the root of that change.
+        """
+        known = {n: v for n, v in signals.items() if n in plant.states or n in plant.inputs}
+        span = float(np.ptp(known[state]))
+        moved = next(e for e in plant.equations.values() if e.state == state)
+        power = 1.0 if state == equation.state else 0.5
+        if not span or (power != 1.0 and [*moved.terms.values()] != [equation.state]):
+            return 0.0
+        values = np.linspace(known[state].min(), known[state].max(), GRID)
+        at = {n: np.full(GRID, float(np.median(v))) for n, v in known.items()} | {state: values}
+        scope = Values(plant, at)
+        rate = np.broadcast_to(scope.evaluate(text) / scope.evaluate(equation.storage), GRID)
+        slopes = np.abs(np.diff(rate) / np.diff(values))
+        return float(slopes.max()) ** power if np.ptp(slopes) > SAME * slopes.max() else 0.0
 
     def _needed(self, measured: set[str]) -> set[str]:
         """Every symbol on which the targets depend, up to what is measured."""
@@ -138,18 +190,25 @@ class Task:
         states = {s: replace(v, rate=v.rate if v.rate in kept else None, start=None) for s, v in kept.items()}
         equations = {n: self.plant.equations[n] for n in self.equations.values()}
         inputs = {n: self.plant.unit(n) for n in given}
+        derived = {n: f"{how} {source}" for n, (source, how) in self.rates.items()}
         return replace(
             self.plant, inputs=inputs, states=states, equations=equations, definitions=self.definitions,
-            outputs=self.targets, derived={}, switches={}, required=(), closure=Closure(), experiments={},
+            outputs=self.targets, derived=derived, switches={}, required=(), closure=Closure(), experiments={},
         )  # fmt: skip
 
     def signals(self, recording: Recording) -> dict[str, np.ndarray]:
-        """What the network reads and the rates of it, as the plant has them over the interval after each sample."""
-        found = {n: recording[n] for n in self.inputs}
+        """What acts and the rates of it, as the plant has them over the interval after each sample."""
+        found = {n: self._acts(n, recording[n]) for n in self.inputs}
         for rate, (source, how) in self.rates.items():
             moved = np.diff(recording[source], append=recording[source][-1:]) / self.step
             found[rate] = np.gradient(moved, self.step) if "acceleration" in how else moved
         return found
+
+    def _acts(self, name: str, signal: np.ndarray) -> np.ndarray:
+        """An input as it acts: behind its filters; of a measured one its mean up to the next sample."""
+        for kind, given in self.filters.get(name, ()):
+            signal = FILTERS[kind](signal, *given, self.step)
+        return signal if name not in self.measured else (signal + np.append(signal[1:], signal[-1:])) / 2
 
     def nominal(self, recording: Recording) -> dict[str, np.ndarray]:
         """Every signal of the plant's own simulation on what the recording's inputs are."""
@@ -160,7 +219,11 @@ class Task:
             self.reduced, self.signals(recording), sample_time=self.step, step=self.step / inner, initial=start,
             channels=symbols,
         )  # fmt: skip
-        return dict(run.channels)
+        found = dict(run.channels)
+        scope = {**found, **{s: p.value for s, p in self.plant.parameters.items()}, **self.signals(recording)}
+        for target, terms in self.readings.items():
+            found[target] = found[target] + sum(parse(text).over(scope) for text in terms.values())
+        return found
 
     def record(self, recording: Recording) -> Record:
         """What a network of this task learns, with the inputs at rest before the first sample."""

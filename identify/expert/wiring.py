@@ -1,10 +1,11 @@
 """Joins a network from the equations of a plant: exact linear layers, parts for what is not linear, states by delays.
 
-Over the interval from sample k-1 to k a state s moves by step * (sum of its terms) / storage. In these sums stand the
-network's own states at k-1, measured signals by their mean over the interval, of a measured position its difference.
-Stiff linear states are one layer, exact for inputs that are held (`lags`).
+Over the interval from sample k-1 to k the states move as `integration` says: their linear part by its exponential, the
+rest in stages. A stage's states are weighted sums of the states at k-1, the inputs and the parts of earlier stages, and
+no layers of their own: nothing is rounded between them.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import cast
@@ -12,9 +13,10 @@ from typing import cast
 import numpy as np
 
 from greygate.errors import InputError
+from greygate.identify.expert.acting import acting
 from greygate.identify.expert.decisions import Log
 from greygate.identify.expert.forms import Form, linear
-from greygate.identify.expert.lags import Lag, lags
+from greygate.identify.expert.integration import SCHEMES, Scheme, Step, step
 from greygate.identify.expert.parts import MOST_SIGNALS, Part, part
 from greygate.identify.expert.task import Task
 from greygate.models.adaptation import frozen
@@ -29,19 +31,23 @@ ROOM = 1.25  # factor of a port's scale over what is on record
 UNTOLD = 0.75  # relative tolerance of a parameter, where the plant tells none of any
 BETWEEN, RICH = (0.1, 0.8), 0.2  # of a rate's largest value; share of the samples in between from which it tells
 LEAST = 0.2  # of its nominal value, what is left of a weight: its sign is known
+STAGE = re.compile(r"_now|_stage\d+")
+NOW = -1  # the stage of what stands at sample k itself
+HIGHEST = 8  # power that is built of products
 
 
 @dataclass(frozen=True)
 class Choices:
     """What the expert may choose anew.
 
-    held: inputs that are held over a sample; others go straight from one sample to the next.
+    scheme: how a sample is integrated. straight: inputs that go straight from one sample to the next; others are held.
     taps: differences from which a rate is taken. larger: how many sizes of the parts to pass over.
     free: whether training may move the weights that the data sheet leaves uncertain.
     unknown: place (equation or definition) -> neurons of a network for what its terms leave out.
     """
 
-    held: frozenset[str] = frozenset()
+    scheme: Scheme = SCHEMES[0]
+    straight: frozenset[str] = frozenset()
     taps: int = 1
     larger: int = 0
     free: bool = False
@@ -50,63 +56,82 @@ class Choices:
 
 @dataclass(frozen=True)
 class Wire:
-    """A signal of the network: what `source` gave `delay` steps ago, times `scale`. values: along the recordings.
+    """A signal of the network: what `source` gave `delay` steps ago, times `scale`; or the sum `form` of such signals.
 
-    unit: of a symbol of the plant.
+    values: along the recordings. label: its name in every stage. unit: of a symbol of the plant.
     """
 
     source: str
     scale: float
     values: np.ndarray
+    label: str
     delay: int = 0
     unit: str = ""
+    form: Form | None = None
 
 
 @dataclass
 class Joined:
-    """network; rehearse, bounds: for `train`. states: layer -> (signal, its scale)."""
+    """network; rehearse, bounds, tied: for `train`. states: layer -> (signal, its scale)."""
 
     network: Network
     rehearse: dict[str, Record]
     bounds: dict[str, tuple[float, float]]
     states: dict[str, tuple[str, float]]
+    tied: list[list[str]] = field(default_factory=list)
 
 
 class Wiring:
-    """One joining. signals: every signal along the recordings, by the plant's own simulation (N,)."""
+    """One joining. signals: every signal along the recordings, by the plant's own simulation (N,).
+
+    first: the first value of every input.
+    """
 
     def __init__(
-        self, task: Task, signals: Mapping[str, np.ndarray], choices: Choices, parts: dict[str, Part], log: Log
-    ):
+        self, task: Task, signals: Mapping[str, np.ndarray], first: Mapping[str, float], choices: Choices,
+        parts: dict[str, Part], log: Log,
+    ):  # fmt: skip
         self.task, self.signals, self.choices, self.parts, self.log = task, signals, choices, parts, log
-        self.plant = task.plant
+        self.plant, self.first = task.plant, first
         self.wires: dict[str, Wire] = {}
-        self.forms: dict[tuple[str, bool], Form] = {}
+        self.forms: dict[tuple[str, int], Form] = {}
+        self.realised: dict[str, tuple[str, int, float]] = {}
+        self.copies: dict[str, list[str]] = {}
+        self.substep = 0
         self.told = any(p.tolerance for p in self.plant.parameters.values())
-        ports = [Port(n, self.plant.unit(n), self.size(n), initial=float(signals[n][0])) for n in task.inputs]
+        ports = [Port(n, self.plant.unit(n), self.size(n), initial=first[n]) for n in task.inputs]
         outputs = [Port(n, self.plant.unit(n), self.size(n)) for n in task.targets]
         self.network = Network(self.plant.name, ports, outputs, dt=task.step)
         self.joined = Joined(self.network, {}, {}, {})
-        self.lags = {s: lag for lag in lags(task, self.constant_form) for s in lag.states}
+        self.sources = {
+            n: acting(self.network, n, self.size(n), task.filters.get(n, ()), first[n], task.step) for n in task.inputs
+        }
 
     def size(self, symbol: str) -> float:
         return ROOM * float(np.abs(self.signals[symbol]).max()) or 1.0
 
     def join(self) -> Joined:
-        for state in self.task.states:
-            if state not in self.lags:
-                self.state(state)
+        self.integrated()
         for target in self.task.targets:
-            form = self.resolve(target, True)
+            form = self.resolve(target, NOW)
+            for term, text in self.task.readings.get(target, {}).items():
+                form = form + self.built(f"reading_{target}_{term}", parse(text).tree, NOW)
             self.network.connect(self.layer(f"give_{target}", form, self.size(target)), target)
+        groups = [names for names in self.copies.values() if len(names) > 1]
+        own = self.network.parameters()
+        moved = {f"{path}.{p}" for path, m in self.network.layers().items() for p in (*m.weights, "bias")
+                 if p not in m.frozen}  # fmt: skip
+        for group in groups:
+            inside = [n.removeprefix(group[0]) for n in own if n.startswith(f"{group[0]}.") and n in moved]
+            self.joined.tied += [[f"{name}{path}" for name in group] for path in inside]
         self.network.check()
         return self.joined
 
     # ---- symbols
 
-    def resolve(self, symbol: str, now: bool) -> Form:
-        """The form of a symbol: now, at sample k, or over the interval before it."""
-        key = (symbol, now and symbol not in self.task.rates)
+    def resolve(self, symbol: str, at: int) -> Form:
+        """The form of a symbol in a stage."""
+        key = (symbol, at)
         if key not in self.forms:
             self.forms[key] = self._resolved(*key)
         return self.forms[key]
@@ -118,30 +143,55 @@ class Wiring:
         tolerance = parameter.tolerance if self.told else UNTOLD
         return Form(parameter.value, free={"": tolerance} if tolerance else {})
 
-    def _resolved(self, symbol: str, now: bool) -> Form:
+    def _resolved(self, symbol: str, at: int) -> Form:
         if (constant := self.constant_form(symbol)) is not None:
             return constant
         if symbol in self.task.rates:
             return self.rate(symbol)
         if symbol in self.task.inputs:
-            return self.wired(symbol, symbol, self.size(symbol)) if now else self.over_interval(symbol)
-        if symbol in self.lags:
-            return self.lag(self.lags[symbol], symbol, now)
+            return self.input(symbol, at)
         if symbol in self.task.states:
             if self.limited(symbol) == 0.0:
                 return Form(self.plant.constant(self.plant.states[symbol].initial))
-            return self.wired(
-                symbol if now else f"{symbol}_before", f"state_{symbol}", self.size(symbol), int(not now), symbol
-            )
+            if at == NOW:
+                return self.wired(symbol, f"state_{symbol}", symbol)
+            return Form(weights={staged(symbol, at): 1.0})
         found = next((n, d) for n, d in self.plant.definitions.items() if d.symbol == symbol)
-        return self.sum(found[0], found[1].terms, now)
+        return self.sum(found[0], found[1].terms, at)
 
-    def wired(self, key: str, source: str, scale: float, delay: int = 0, symbol: str = "") -> Form:
-        self.wires[key] = Wire(source, scale, self.signals[symbol or key], delay, self.plant.unit(symbol or key))
+    def wired(self, key: str, source: str, symbol: str, delay: int = 0) -> Form:
+        self.wires[key] = Wire(source, self.size(symbol), self.signals[symbol], symbol, delay, self.plant.unit(symbol))
         return Form(weights={key: 1.0})
 
-    def made(self, key: str, source: str, scale: float, values: np.ndarray) -> Form:
-        self.wires[key] = Wire(source, scale, np.broadcast_to(values, len(self.signals[self.task.inputs[0]])))
+    def summed(self, key: str, symbol: str, form: Form) -> Form:
+        """A wire for what a symbol is in a stage: a sum of other wires."""
+        form = self.expanded(form)
+        self.wires[key] = Wire("", self.size(symbol), self.signals[symbol], symbol, 0, self.plant.unit(symbol), form)
+        return Form(weights={key: 1.0})
+
+    def expanded(self, form: Form) -> Form:
+        """The form of signals that have a source."""
+        total = Form(form.constant, free={"": form.free[""]} if "" in form.free else {})
+        for key, weight in form.weights.items():
+            inner, free = self.wires[key].form, form.free.get(key, 0.0)
+            part = Form(weights={key: 1.0}) if inner is None else inner
+            total = total + part.times(Form(weight, free={"": free} if free else {}))
+        return total
+
+    def source(self, key: str) -> tuple[str, int, float]:
+        """(module or input, delay, scale) of a wire; a sum becomes a layer where a part reads it."""
+        wire = self.wires[key]
+        if wire.form is None:
+            return wire.source, wire.delay, wire.scale
+        if len(wire.form.weights) == 1 and not wire.form.constant and [*wire.form.weights.values()] == [1.0]:
+            return self.source(next(iter(wire.form.weights)))
+        if key not in self.realised:
+            self.realised[key] = self.layer(f"of_{key}", wire.form, wire.scale), 0, wire.scale
+        return self.realised[key]
+
+    def made(self, key: str, source: str, scale: float, values: np.ndarray, label: str = "") -> Form:
+        over = np.broadcast_to(values, len(self.signals[self.task.inputs[0]]))
+        self.wires[key] = Wire(source, scale, over, label or key)
         return Form(weights={key: 1.0})
 
     def limited(self, state: str) -> float:
@@ -152,19 +202,24 @@ class Wiring:
         ]
         return ends[1] - ends[0]
 
-    def over_interval(self, symbol: str) -> Form:
+    def input(self, symbol: str, at: int) -> Form:
+        """How an input acts: now, or in the middle of the substep of a stage."""
+        now = self.wired(symbol, self.sources[symbol], symbol)
+        if at == NOW:
+            return now
+        before = self.wired(f"{symbol}_before", self.sources[symbol], symbol, 1)
         turned = self.plant.unit(symbol) == "rad" and np.abs(np.diff(self.signals[symbol])).max() > np.pi
-        held = symbol in self.choices.held or turned
-        name = f"mean_{symbol}"
-        weights = {"now": [[0.0 if held else 0.5]], "before": [[1.0 if held else 0.5]]}
-        measured = self.choices.free and not held and symbol in self.plant.inputs
-        layer = Layer(weights, [0.0], frozen={"bias"} if measured else {"now", "before", "bias"})
-        self.network.add(name, layer, {"now": symbol, "before": (symbol, 1)})
-        return self.wired(f"{symbol}_mean", name, self.size(symbol), symbol=symbol)
+        if symbol not in self.choices.straight or turned:
+            return before
+        share = (self.substep + 1 / 2) / self.choices.scheme.substeps
+        form = now.times(Form(share)) + before.times(Form(1 - share))
+        return self.summed(f"{symbol}_in{self.substep}", symbol, form)
 
     def rate(self, symbol: str) -> Form:
+        if symbol in self.wires:
+            return Form(weights={symbol: 1.0})
         source, _ = self.task.rates[symbol]
-        scale, ratio = self.size(symbol), self.size(source) / (self.task.step * self.size(symbol))
+        ratio = self.size(source) / (self.task.step * self.size(symbol))
         difference = Layer({"now": [[1.0]], "before": [[-1.0]]}, [0.0], frozen={"now", "before", "bias"})
         self.network.add(f"moved_{symbol}", difference, {"now": source, "before": (source, 1)})
         first = {f"d{n}": [[float(n == 0)]] for n in range(self.choices.taps)}
@@ -174,86 +229,180 @@ class Wiring:
             self.network.connect(f"moved_{symbol}", f"rate_{symbol}.d{n}", delay=n, gain=ratio)
         why = f"{source} is measured, and {symbol} is its rate"
         self.log("decompose", symbol, f"difference of {source} over the step", why)
-        return self.wired(symbol, f"rate_{symbol}", scale)
+        return self.wired(symbol, f"rate_{symbol}", symbol)
 
-    def lag(self, lag: Lag, symbol: str, now: bool) -> Form:
-        name = f"lag_{'_'.join(lag.states)}"
-        if name not in self.network.modules:
-            sizes = np.array([self.size(s) for s in lag.states])
-            inputs = {u: lag.inputs[:, [j]] / sizes[:, None] * self.size(u) for j, u in enumerate(lag.inputs_from)}
-            own = lag.own * sizes[None, :] / sizes[:, None]
-            start = np.array([self.signals[s][0] for s in lag.states]) / sizes
-            fixed = frozenset({"own", "bias", *inputs})
-            self.network.add(name, Layer({"own": own, **inputs}, lag.constant / sizes, initial=start, frozen=fixed))
-            self.network.connect(name, f"{name}.own", delay=1)
-            mean = {"own": lag.mean_own * sizes[None, :] / sizes[:, None]}
-            mean |= {u: lag.mean_inputs[:, [j]] / sizes[:, None] * self.size(u) for j, u in enumerate(lag.inputs_from)}
-            self.network.add(f"{name}_mean", Layer(mean, lag.mean_constant / sizes, frozen=fixed))
-            self.network.connect(name, f"{name}_mean.own", delay=1)
-            for u in lag.inputs_from:
-                self.network.connect(u, f"{name}.{u}", delay=1)
-                self.network.connect(u, f"{name}_mean.{u}", delay=1)
-            what = "one linear layer, exact for a held input, and its mean over the step"
-            self.log("decompose", ", ".join(lag.states), what, lag.why)
-        key, source = (symbol, name) if now else (f"{symbol}_mean", f"{name}_mean")
-        pick = f"{key}_of"
-        row = np.array([[float(s == symbol) for s in lag.states]])
-        self.network.add(pick, Layer({"lag": row}, [0.0], frozen={"lag", "bias"}), {"lag": source})
-        return self.wired(key, pick, self.size(symbol), symbol=symbol)
+    # ---- states
+
+    def integrated(self) -> None:
+        """The layers that keep the states: stage after stage, up to the end of the sample."""
+        states = [s for s in self.task.states if self.limited(s) > 0.0]
+        for state in set(self.task.states) - {*states}:
+            self.log("decompose", state, "a constant", "its limits leave it no room")
+        for state in states:
+            self.summed(staged(state, 0), state, self.wired(f"{state}_before", f"state_{state}", state, 1))
+        scheme, stage = self.choices.scheme, 0
+        for self.substep in range(scheme.substeps):
+            stage = self.advanced(states, stage, self.task.step / scheme.substeps, scheme.second)
+        for state in states:
+            self.state(state, self.wires[staged(state, stage)].form or Form())
+
+    def advanced(self, states: Sequence[str], stage: int, h: float, second: bool) -> int:
+        """The wires of the states h seconds after a stage; the stage in which they stand."""
+        own, held = self.apart(states, stage)
+        moved, bent = step(own.values, h), [i for i, form in enumerate(held) if self.reads_parts(form)]
+        ahead = [self.moved(states, stage, i, own, held, moved, h) for i in range(len(states))]
+        if second and bent:
+            stage += 1
+            for state, form in zip(states, ahead, strict=True):
+                self.summed(staged(state, stage), state, form)
+            _, again = self.apart(states, stage)
+            change = [b + a.times(Form(-1.0)) for a, b in zip(held, again, strict=True)]
+            for i in range(len(states)):
+                for m, form in enumerate(change):
+                    ahead[i] = ahead[i] + form.times(Form(moved.second[i, m]))
+        for state, form in zip(states, ahead, strict=True):
+            self.summed(staged(state, stage + 1), state, form)
+        return stage + 1
+
+    def reads_parts(self, form: Form) -> bool:
+        """Whether it reads what is not linear."""
+        return any(
+            self.wires[key].unit == "" and self.wires[key].label not in self.plant.symbols for key in form.weights
+        )
+
+    def apart(self, states: Sequence[str], stage: int) -> tuple["Own", list[Form]]:
+        """The rates of the states in a stage: what they have of the states themselves, and the rest."""
+        place = {staged(s, stage): j for j, s in enumerate(states)}
+        own, rest = Own(np.zeros((len(states), len(states))), np.zeros((len(states), len(states)))), []
+        for i, state in enumerate(states):
+            rate = self.state_rate(state, stage)
+            for key, weight in rate.weights.items():
+                if key in place:
+                    own.values[i, place[key]], own.free[i, place[key]] = weight, rate.free.get(key, 0.0)
+            rest.append(Form(rate.constant, {k: w for k, w in rate.weights.items() if k not in place},
+                             {k: f for k, f in rate.free.items() if k not in place}))  # fmt: skip
+        return own, rest
+
+    def moved(
+        self, states: Sequence[str], stage: int, i: int, own: "Own", held: Sequence[Form], by: Step, h: float
+    ) -> Form:
+        """State i after h seconds in which everything but the states stands still."""
+        spread, spread_first = own.spread(h)
+        total = Form()
+        for m, state in enumerate(states):
+            if by.own[i, m]:
+                free = {staged(state, stage): spread[i, m] / abs(by.own[i, m])} if spread[i, m] else {}
+                total = total + Form(0.0, {staged(state, stage): float(by.own[i, m])}, free)
+            if by.first[i, m]:
+                relative = spread_first[i, m] / abs(by.first[i, m])
+                factor = Form(float(by.first[i, m]), free={"": relative} if relative else {})
+                total = total + held[m].times(factor)
+        return total
+
+    def state_rate(self, state: str, stage: int) -> Form:
+        """The rate of a state, in its unit per second."""
+        name = self.task.equations[state]
+        equation = self.plant.equations[name]
+        total = self.sum(name, equation.terms, stage)
+        storage = linear(parse(equation.storage).tree, lambda s: self.resolve(s, stage))
+        if storage is None:
+            storage = self.built(named(f"{name}_storage", stage), parse(equation.storage).tree, stage)
+        what = "sum and integrator" if storage.is_constant else "sum, divider and integrator"
+        why = "its storage is constant"
+        if not storage.is_constant:
+            why = "its storage changes with " + ", ".join(self.wires[key].label for key in storage.weights)
+        if stage == 0:
+            self.log("decompose", f"{name} ({state})", f"{what}, exact layers", why)
+        if storage.is_constant:
+            return total.times(Form(1 / storage.constant, free=storage.free))
+        return self.quotient(named(f"{name}_over", stage), total, storage)
+
+    def state(self, state: str, form: Form) -> None:
+        """The layer that keeps a state."""
+        scale, limits, name = self.size(state), self._reached(state), f"state_{state}"
+        first = float(self.signals[state][0]) / scale
+        self.joined.states[name] = (state, scale)
+        self.layer(name if limits is None else f"free_{state}", form, scale, first, self.choices.free)
+        if limits is not None:
+            self._clipped(state, limits, scale, first)
+
+    def _reached(self, state: str) -> tuple[float, float] | None:
+        """The limits of a state that it reaches in the plant's own simulation."""
+        limits, seen = self.plant.states[state], self.signals[state]
+        low, high = (self.plant.constant(e) if e is not None else None for e in (limits.low, limits.high))
+        if low is None or high is None or (seen.min() > low and seen.max() < high):
+            return None
+        return low, high
+
+    def _clipped(self, state: str, limits: tuple[float, float], scale: float, first: float) -> None:
+        low, span = limits[0] / scale, (limits[1] - limits[0]) / scale
+        part = Layer(
+            {"level": [[1 / span]]}, [-low / span], "satlin", np.clip((first - low) / span, 0, 1), {"level", "bias"}
+        )
+        limited = Layer({"part": [[span]]}, [low], initial=first, frozen={"part", "bias"})
+        self.network.add(f"part_{state}", part, {"level": f"free_{state}"})
+        self.network.add(f"state_{state}", limited, {"part": f"part_{state}"})
+        self.log("decompose", state, f"kept between {limits[0]:.4g} and {limits[1]:.4g}", "it reaches its limits")
 
     # ---- sums
 
-    def sum(self, place: str, terms: Mapping[str, str], now: bool) -> Form:
+    def sum(self, place: str, terms: Mapping[str, str], at: int) -> Form:
         """The form of a sum of named terms; what is not linear in it becomes parts."""
         total, bent = Form(), {}
         for term, text in terms.items():
-            form = linear(parse(text).tree, lambda symbol: self.resolve(symbol, now))
+            form = linear(parse(text).tree, lambda symbol: self.resolve(symbol, at))
             if form is None:
                 bent[term] = text
             else:
                 total = total + form
         if bent:
-            total = total + self.bent(place, bent, now)
+            total = total + self.bent(place, bent, at)
         if place in self.choices.unknown:
-            total = total + self.unknown(place, terms, now)
+            total = total + self.unknown(place, terms, at)
         return total
 
-    def bent(self, place: str, terms: Mapping[str, str], now: bool) -> Form:
-        """A form of the terms that are not linear."""
-        suffix = "" if now else "_mean"
-        reads = {s: self.resolve(s, now) for s in sorted(names(terms.values()))}
-        signals = sorted({key for form in reads.values() for key in form.weights})
-        exact = all(_is_exact(parse(text).tree) for text in terms.values())
-        if len(signals) <= 2 and not exact:
-            return self.parted(place + suffix, terms, reads, signals)
-        found = Form()
+    def bent(self, place: str, terms: Mapping[str, str], at: int) -> Form:
+        """A form of the terms that are not linear: those that are exact operation by operation, the others as parts."""
+        found, curves = Form(), {}
         for term, text in terms.items():
-            name = f"{place}_{term}{suffix}"
-            own = {s: reads[s] for s in names([text])}
-            inputs = sorted({key for form in own.values() for key in form.weights})
-            if _is_exact(parse(text).tree) or len(inputs) > MOST_SIGNALS:
-                found = found + self.built(name, parse(text).tree, now)
+            if is_exact(parse(text).tree):
+                found = found + self.built(named(f"{place}_{term}", at), parse(text).tree, at)
             else:
-                found = found + self.parted(name, {term: text}, own, inputs)
+                curves[term] = text
+        signals = self._signals(curves.values(), at)
+        if curves and len(signals) <= 2:
+            return found + self.parted(place, curves, signals, at)
+        for term, text in curves.items():
+            signals = self._signals([text], at)
+            if len(signals) > MOST_SIGNALS:
+                found = found + self.built(named(f"{place}_{term}", at), parse(text).tree, at)
+            else:
+                found = found + self.parted(f"{place}_{term}", {term: text}, signals, at)
         return found
 
-    def parted(self, name: str, terms: Mapping[str, str], reads: Mapping[str, Form], signals: Sequence[str]) -> Form:
-        """One network for the sum of some terms of the same few signals."""
+    def _signals(self, texts, at: int) -> list[str]:
+        return sorted({key for s in names(texts) for key in self.resolve(s, at).weights})
 
-        def function(at: Mapping[str, np.ndarray]) -> np.ndarray:
-            scope = {s: form.over(at) for s, form in reads.items()}
-            shape = np.shape(next(iter(at.values())))
+    def parted(self, place: str, terms: Mapping[str, str], signals: Sequence[str], at: int) -> Form:
+        """One network for the sum of some terms of the same few signals."""
+        reads = {s: self.resolve(s, at) for s in sorted(names(terms.values()))}
+        labels = {key: f"{self.wires[key].label}_in" for key in signals}
+
+        def function(given: Mapping[str, np.ndarray]) -> np.ndarray:
+            scope = {s: form.over({key: given[label] for key, label in labels.items()}) for s, form in reads.items()}
+            shape = np.shape(next(iter(given.values())))
             return np.broadcast_to(sum(parse(text).over(scope) for text in terms.values()), shape)
 
-        on_record = {s: self.wires[s].values for s in signals}
-        ends = {signal: self._ends(self.wires[signal].unit, reads) for signal in signals}
-        made = self.made_part(name, function, on_record, ends)
+        on_record = {labels[s]: self.wires[s].values for s in signals}
+        ends = {labels[s]: self._ends(self.wires[s].unit, reads) for s in signals}
+        made, name = self.made_part(place, function, on_record, ends), named(place, at)
         self.network.add(name, made.network)
-        for signal in signals:
-            wire = self.wires[signal]
-            self.network.connect(wire.source, f"{name}.{signal}", wire.delay, wire.scale / made.scales[signal])
+        for key in signals:
+            source, delay, scale = self.source(key)
+            self.network.connect(source, f"{name}.{labels[key]}", delay, scale / made.scales[labels[key]])
         self.joined.rehearse[name] = made.rehearsal
-        return self.made(name, name, made.size, function(on_record))
+        self.copies.setdefault(place, []).append(name)
+        return self.made(name, name, made.size, function(on_record), place)
 
     def made_part(self, name: str, function, on_record: Mapping[str, np.ndarray], ends: Mapping) -> Part:
         if name not in self.parts:
@@ -267,19 +416,24 @@ class Wiring:
         found += [self.plant.constant(e) for e in limits]
         return list(dict.fromkeys(abs(e) for e in found if e))
 
-    def unknown(self, place: str, terms: Mapping[str, str], now: bool) -> Form:
-        """A network for what the terms of a place leave out; it starts at zero, and enters as the closure says."""
-        neurons, name = self.choices.unknown[place], f"unknown_{place}"
+    def unknown(self, place: str, terms: Mapping[str, str], at: int) -> Form:
+        """A network for what the terms of a place leave out; it starts at zero, and enters as the closure says.
+
+        It answers once a sample: what it answered in the first stage holds in the others.
+        """
+        if at > 0:
+            return self.forms[f"unknown_{place}", 0]
+        neurons, name = self.choices.unknown[place], named(f"unknown_{place}", at)
         declared = self.plant.closure.places.get(place)
         text = declared.term if declared else "f"
         factors = sorted(names([text]) - {"f"})
-        forms = [self.resolve(s, now) for s in (*sorted(names(terms.values())), *factors)]
-        forms += [self.resolve(s, now) for s in self.task.inputs]
+        forms = [self.resolve(s, at) for s in (*sorted(names(terms.values())), *factors)]
+        forms += [self.resolve(s, at) for s in self.task.inputs]
         for chosen in declared.libraries if declared else ():
             for function, said in self.plant.closure.libraries.get(chosen, {}).items():
                 if not names([said]) <= self.plant.symbols:
                     continue  # it reads the limits of a recording
-                forms.append(self.built(f"{name}_{function}", parse(said).tree, now))
+                forms.append(self.built(f"{name}_{function}", parse(said).tree, at))
         signals = sorted({key for form in forms for key in form.weights})
         for key in [n for n in signals if n in self.task.rates and poor(self.wires[n].values)]:
             signals.remove(key)
@@ -288,127 +442,111 @@ class Wiring:
         network.modules["out"] = Layer({"hidden1": np.zeros((1, neurons))}, [0.0])
         self.network.add(name, network)
         for signal in signals:
-            wire = self.wires[signal]
-            self.network.connect(wire.source, f"{name}.{signal}", wire.delay)
+            source, delay, _ = self.source(signal)
+            self.network.connect(source, f"{name}.{signal}", delay)
         values = self._values()
-        largest = max([float(np.abs(form.over(values)).max()) for form in self._sized(terms, now)] or [1.0]) or 1.0
-        if not factors:
-            return self.made(name, name, largest, np.zeros(1))
-        over = max(float(np.abs(self.resolve(s, now).over(values)).max()) for s in factors) or 1.0
-        self.forms["f", now] = self.made(name, name, largest / over, np.zeros(1))
-        return self.built(f"{name}_term", parse(text).tree, now)
+        largest = max([float(np.abs(form.over(values)).max()) for form in self._sized(terms, at)] or [1.0]) or 1.0
+        if factors:
+            over = max(float(np.abs(self.resolve(s, at).over(values)).max()) for s in factors) or 1.0
+            self.forms["f", at] = self.made(name, name, largest / over, np.zeros(1))
+            found = self.built(f"{name}_term", parse(text).tree, at)
+        else:
+            found = self.made(name, name, largest, np.zeros(1))
+        self.forms[f"unknown_{place}", at] = found
+        return found
 
-    def _sized(self, terms: Mapping[str, str], now: bool) -> list[Form]:
+    def _sized(self, terms: Mapping[str, str], at: int) -> list[Form]:
         """The terms that are linear."""
-        found = [linear(parse(text).tree, lambda symbol: self.resolve(symbol, now)) for text in terms.values()]
+        found = [linear(parse(text).tree, lambda symbol: self.resolve(symbol, at)) for text in terms.values()]
         return [form for form in found if form is not None]
 
     def _values(self) -> dict[str, np.ndarray]:
         return {key: wire.values for key, wire in self.wires.items()}
 
-    # ---- states
+    # ---- operation by operation
 
-    def state(self, state: str) -> None:
-        """The layer that keeps a state: it adds what the state moves by over each interval."""
-        if self.limited(state) == 0.0:
-            self.log("decompose", state, "a constant", "its limits leave it no room")
-            return
-        name = self.task.equations[state]
-        equation, scale = self.plant.equations[name], self.size(state)
-        total = self.sum(name, equation.terms, False)
-        leaks = total.weights.get(f"{state}_before", 0.0) < 0  # then a constant in its sum cannot add up for ever
-        storage = linear(parse(equation.storage).tree, lambda s: self.resolve(s, False))
-        if storage is None:
-            storage = self.built(f"{name}_storage", parse(equation.storage).tree, False)
-        step = Form(self.task.step)
-        if storage.is_constant:
-            move = total.times(Form(self.task.step / storage.constant, free=storage.free))
-            why = "its storage is constant"
-        else:
-            move = self.quotient(f"{name}_over", total.times(step), storage, leaks)
-            why = "its storage changes with " + ", ".join(storage.weights)
-        size = float(np.abs(move.over(self._values())).max()) or scale
-        source = self.layer(f"move_{state}", move, size, leaks and storage.is_constant)
-        limits = self._reached(state)
-        kept = frozenset({"move", "before", "bias"})
-        first = float(self.signals[state][0]) / scale
-        level = Layer({"move": [[size / scale]], "before": [[1.0]]}, [0.0], initial=first, frozen=kept)
-        self.joined.states[f"state_{state}"] = (state, scale)
-        if limits is None:
-            self.network.add(f"state_{state}", level, {"move": source, "before": (f"state_{state}", 1)})
-        else:
-            self._clipped(state, source, level, limits, scale)
-        what = "sum and integrator" if storage.is_constant else "sum, divider and integrator"
-        self.log("decompose", f"{name} ({state})", f"{what}, exact layers", why)
-
-    def _reached(self, state: str) -> tuple[float, float] | None:
-        """The limits of a state that it reaches in the plant's own simulation."""
-        limits, seen = self.plant.states[state], self.signals[state]
-        low, high = (self.plant.constant(e) if e is not None else None for e in (limits.low, limits.high))
-        if low is None or high is None or (seen.min() > low and seen.max() < high):
-            return None
-        return low, high
-
-    def _clipped(self, state: str, source: str, level: Layer, limits: tuple[float, float], scale: float) -> None:
-        low, span = limits[0] / scale, (limits[1] - limits[0]) / scale
-        first = float(level.initial[0])
-        part = Layer(
-            {"level": [[1 / span]]}, [-low / span], "satlin", np.clip((first - low) / span, 0, 1), {"level", "bias"}
-        )
-        limited = Layer({"part": [[span]]}, [low], initial=first, frozen={"part", "bias"})
-        self.network.add(f"free_{state}", level, {"move": source, "before": (f"state_{state}", 1)})
-        self.network.add(f"part_{state}", part, {"level": f"free_{state}"})
-        self.network.add(f"state_{state}", limited, {"part": f"part_{state}"})
-        self.log("decompose", state, f"kept between {limits[0]:.4g} and {limits[1]:.4g}", "it reaches its limits")
-
-    # ---- structure from library networks
-
-    def built(self, name: str, node: Node, now: bool) -> Form:
+    def built(self, name: str, node: Node, at: int) -> Form:
         """The form of an expression, built operation by operation."""
-        form = linear(node, lambda symbol: self.resolve(symbol, now))
+        form = linear(node, lambda symbol: self.resolve(symbol, at))
         if form is not None:
             return form
         match node:
             case Signed(sign, of):
-                return self.built(name, of, now).times(Form(-1.0 if sign == "-" else 1.0))
+                return self.built(name, of, at).times(Form(-1.0 if sign == "-" else 1.0))
             case Operation("+" | "-" as sign, left, right):
-                b = self.built(f"{name}_r", right, now)
-                return self.built(f"{name}_l", left, now) + (b if sign == "+" else b.times(Form(-1.0)))
+                b = self.built(f"{name}_r", right, at)
+                return self.built(f"{name}_l", left, at) + (b if sign == "+" else b.times(Form(-1.0)))
             case Operation("*", left, right):
-                a, b = self.built(f"{name}_l", left, now), self.built(f"{name}_r", right, now)
+                a, b = self.built(f"{name}_l", left, at), self.built(f"{name}_r", right, at)
                 return a.times(b) if b.is_constant else b.times(a) if a.is_constant else self.product(name, a, b)
             case Operation("/", left, right):
-                a, b = self.built(f"{name}_l", left, now), self.built(f"{name}_r", right, now)
+                a, b = self.built(f"{name}_l", left, at), self.built(f"{name}_r", right, at)
                 return a.times(Form(1 / b.constant)) if b.is_constant else self.quotient(name, a, b)
-            case Operation("**", left, Number(2)):
-                return self.product(name, *[self.built(f"{name}_l", left, now)] * 2)
+            case Operation("**", left, Number(power)) if power in range(2, HIGHEST + 1):
+                base = self.built(f"{name}_l", left, at)
+                found = base
+                for n in range(2, int(power) + 1):
+                    found = self.product(f"{name}_{n}", found, base)
+                return found
+            case Call("when", (_, of)):  # it acts: what is off is linear
+                return self.built(name, of, at)
+            case Call("exp", (inner,)) if (root := bell(inner)) is not None:
+                return self.neuron(name, "radbas", self.built(f"{name}_0", root, at))
+            case Call("smooth_step", (x, width)):
+                call = Call("tanh", (Operation("/", x, width),))
+                return Form(0.5) + self.built(name, call, at).times(Form(0.5))
             case Call(function, given):
-                return self.called(name, function, [self.built(f"{name}_{i}", g, now) for i, g in enumerate(given)])
+                return self.called(name, function, [self.built(f"{name}_{i}", g, at) for i, g in enumerate(given)])
         raise InputError(f"plant {self.plant.name}: {name}: no network is made of this power; write it as a function")
 
+    def neuron(self, name: str, activation: str, form: Form) -> Form:
+        """One neuron that answers a form."""
+        self.layer(name, form, 1.0, activation=activation)
+        layer = cast(Layer, self.network.modules[name])
+        return self.made(name, name, 1.0, layer.function.value(np, form.over(self._values())), plain(name))
+
+    def chosen(self, name: str, over: Form, a: Form, b: Form) -> Form:
+        """a where `over` is not negative, else b: a multiplexer."""
+        values = self._values()
+        found = np.where(over.over(values) >= 0, a.over(values), b.over(values))
+        scale = float(np.abs(found).max()) or 1.0
+        rows = [self.expanded(form) for form in (over, a, b)]
+        keys = sorted({key for form in rows for key in form.weights})
+        weights = {k: [[form.weights.get(k, 0.0) * self.wires[k].scale / scale] for form in rows] for k in keys}
+        layer = Layer(weights, [form.constant / scale for form in rows], "select", frozen={*keys, "bias"})
+        self.network.add(name, layer, {k: (self.wires[k].source, self.wires[k].delay) for k in keys})
+        return self.made(name, name, scale, found, plain(name))
+
     def called(self, name: str, function: str, given: list[Form]) -> Form:
+        if function == "tanh":
+            return self.neuron(name, "tansig", given[0])
+        if function in ("max", "min", "abs"):
+            a, b = given if function != "abs" else (given[0], given[0].times(Form(-1.0)))
+            over = a + b.times(Form(-1.0))
+            self.log("part", plain(name), "a multiplexer", f"the term holds {function}()")
+            return self.chosen(name, over, *((b, a) if function == "min" else (a, b)))
         values, call = self._values(), cast(Callable[..., np.ndarray], FUNCTIONS[function])
         forms = {f"x{i}": form for i, form in enumerate(given) if not form.is_constant}
-        known = {"abs": "absolute", "sign": "sign", "sin": "sine", "cos": "cosine"}.get(function)
+        known = {"sign": "sign", "sin": "sine", "cos": "cosine"}.get(function)
         at = {n: form.over(values) for n, form in forms.items()}
-        if known and (function in ("abs", "sign") or np.abs(at["x0"]).max() <= np.pi):
-            scale = float(np.abs(at["x0"]).max()) if function in ("abs", "sign") else 1.0
+        if known and (function == "sign" or np.abs(at["x0"]).max() <= np.pi):
+            scale = float(np.abs(at["x0"]).max()) if function == "sign" else 1.0
             self.network.add(name, library(known))
             self.network.connect(self.layer(f"{name}_in", given[0], scale), f"{name}.x")
-            self.log("part", name, f"library network {known}", f"the term holds {function}()")
-            size = scale if function == "abs" else 1.0
-            return self.made(name, name, size, call(at["x0"]))
+            self.log("part", plain(name), f"library network {known}", f"the term holds {function}()")
+            return self.made(name, name, 1.0, call(at["x0"]), plain(name))
         held = [None if not f.is_constant else f.constant for f in given]
 
         def of(signals: Mapping[str, np.ndarray]) -> np.ndarray:
             return call(*(signals[f"x{i}"] if h is None else h for i, h in enumerate(held)))
 
-        made = self.made_part(name, of, at, {n: [] for n in at})
+        made = self.made_part(plain(name), of, at, {n: [] for n in at})
         self.network.add(name, made.network)
         for n, form in forms.items():
             self.network.connect(self.layer(f"{name}_{n}", form, made.scales[n]), f"{name}.{n}")
         self.joined.rehearse[name] = made.rehearsal
-        return self.made(name, name, made.size, of(at))
+        self.copies.setdefault(plain(name), []).append(name)
+        return self.made(name, name, made.size, of(at), plain(name))
 
     def product(self, name: str, a: Form, b: Form) -> Form:
         """Exact, by two squares: ab = ((a + b) / 2)^2 - ((a - b) / 2)^2."""
@@ -420,10 +558,10 @@ class Wiring:
         for port, form, size in zip("ab", (a, b), sizes, strict=True):
             self.network.connect(self.layer(f"{name}_{port}", form, size), f"{name}_squares.{port}")
         self.network.connect(f"{name}_squares", f"{name}.squares")
-        self.log("part", name, "a product by two squares", "the term multiplies two signals")
-        return self.made(name, name, sizes[0] * sizes[1], a.over(values) * b.over(values))
+        self.log("part", plain(name), "a product by two squares", "the term multiplies two signals")
+        return self.made(name, name, sizes[0] * sizes[1], a.over(values) * b.over(values), plain(name))
 
-    def quotient(self, name: str, a: Form, b: Form, offset: bool = False) -> Form:
+    def quotient(self, name: str, a: Form, b: Form) -> Form:
         """By the library's divider, omega / (1 + gamma), with omega over its whole range."""
         values = self._values()
         over = b.over(values)
@@ -433,31 +571,66 @@ class Wiring:
             raise InputError(f"plant {self.plant.name}: {name}: what is divided by comes near zero; write it otherwise")
         size = float(np.abs(a.over(values)).max()) or 1.0
         self.network.add(name, frozen(library("divider")))
-        self.network.connect(self.layer(f"{name}_of", a, size, offset), f"{name}.omega")
+        self.network.connect(self.layer(f"{name}_of", a, size, free=self.choices.free), f"{name}.omega")
         gamma = b.times(Form(1 / centre)) + Form(-1.0)
-        self.network.connect(self.layer(f"{name}_by", gamma, 1.0), f"{name}.gamma")
-        self.log("part", name, "library network divider", f"what is divided by varies by {reach:.2g} of its mean")
-        return self.made(name, name, size / centre, a.over(values) / over)
+        self.network.connect(self.layer(f"{name}_by", gamma, 1.0, free=self.choices.free), f"{name}.gamma")
+        why = f"what is divided by varies by {reach:.2g} of its mean"
+        self.log("part", plain(name), "library network divider", why)
+        return self.made(name, name, size / centre, a.over(values) / over, plain(name))
 
-    def layer(self, name: str, form: Form, scale: float, offset: bool = False) -> str:
-        """A linear layer that gives a form over a scale; what the data sheet leaves uncertain may be trained.
+    def layer(
+        self, name: str, form: Form, scale: float, first: float = 0.0, free: bool = False, activation: str = "linear"
+    ) -> str:
+        """A layer that gives a form over a scale. free: whether training may move what the data sheet leaves uncertain.
 
-        offset: whether a constant may be added.
+        first: what it gives before the first step.
         """
+        form = self.expanded(form)
         weights = {key: [[w * self.wires[key].scale / scale]] for key, w in form.weights.items()}
-        known = {key for key in weights if key not in form.free or not self.choices.free}
-        self.network.add(
-            name,
-            Layer(weights, [form.constant / scale], frozen=known if offset and self.choices.free else {*known, "bias"}),
-        )
+        known = {key for key in weights if key not in form.free or not free}
+        layer = Layer(weights, [form.constant / scale], activation, first, {*known, "bias"})
+        self.network.add(name, layer, {key: (self.wires[key].source, self.wires[key].delay) for key in weights})
         for key, ((w,),) in weights.items():
-            wire = self.wires[key]
-            self.network.connect(wire.source, f"{name}.{key}", wire.delay)
             if key not in known and w:
                 moved = form.free[key]
                 low, high = sorted((w * max(1 - moved, LEAST), w * (1 + moved)))
                 self.joined.bounds[f"{name}.{key}"] = (low, high)
         return name
+
+
+@dataclass(frozen=True)
+class Own:
+    """The states' own part of their rates: A in 1/s, and the relative tolerance of each entry."""
+
+    values: np.ndarray
+    free: np.ndarray
+
+    def spread(self, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """By how much the data sheet leaves the matrices of a step of h seconds uncertain: that of A, and of n."""
+        usual = step(self.values, h)
+        own, first = np.zeros_like(self.values), np.zeros_like(self.values)
+        for i, j in np.argwhere(self.free * self.values):
+            moved = self.values.copy()
+            moved[i, j] *= 1 + self.free[i, j]
+            other = step(moved, h)
+            own, first = own + np.abs(other.own - usual.own), first + np.abs(other.first - usual.first)
+        return own, first
+
+
+def staged(state: str, stage: int) -> str:
+    """The wire of a state in a stage."""
+    return f"{state}_at{stage}"
+
+
+def named(name: str, at: int) -> str:
+    """The name of a module in a stage."""
+    name = name.replace(".", "_")
+    return name if at == 0 else f"{name}_now" if at == NOW else f"{name}_stage{at}"
+
+
+def plain(name: str) -> str:
+    """The name without its stage."""
+    return STAGE.sub("", name)
 
 
 def poor(rate: np.ndarray) -> bool:
@@ -466,19 +639,29 @@ def poor(rate: np.ndarray) -> bool:
     return float(np.mean((part > BETWEEN[0]) & (part < BETWEEN[1]))) < RICH
 
 
-def _is_exact(node: Node) -> bool:
-    """Whether an expression is products, sums and functions of the library alone."""
+def bell(node: Node) -> Node | None:
+    """x of -x**2, as it stands in exp(-x**2)."""
+    match node:
+        case Signed("-", Operation("**", x, Number(2))):
+            return x
+    return None
+
+
+def is_exact(node: Node) -> bool:
+    """Whether an expression is products, sums and functions that are exact layers, or the library's."""
     match node:
         case Number() | Name():
             return True
         case Signed(_, of):
-            return _is_exact(of)
-        case Operation("+" | "-" | "*", left, right):
-            return _is_exact(left) and _is_exact(right)
-        case Operation("/", left, right):
-            return _is_exact(left) and _is_exact(right)
-        case Operation("**", left, Number(2)):
-            return _is_exact(left)
-        case Call("abs" | "sign" | "sin" | "cos", (of,)):
-            return _is_exact(of)
+            return is_exact(of)
+        case Operation("+" | "-" | "*" | "/", left, right):
+            return is_exact(left) and is_exact(right)
+        case Operation("**", left, Number(power)):
+            return power in range(2, HIGHEST + 1) and is_exact(left)
+        case Call("exp", (of,)):
+            return (root := bell(of)) is not None and is_exact(root)
+        case Call("when", (_, of)):
+            return is_exact(of)
+        case Call("abs" | "sign" | "sin" | "cos" | "tanh" | "max" | "min" | "smooth_step", given):
+            return all(is_exact(of) for of in given)
     return False

@@ -1,0 +1,146 @@
+"""What a diagnosis makes of a plant before a network is built: corrected values, the terms of each named effect."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from greygate.identify.expert.acting import Filter, unbuilt
+from greygate.identify.expert.task import Task
+from greygate.mismatch.diagnose import diagnose
+from greygate.mismatch.entries import SENSOR, TIME, Effect
+from greygate.mismatch.given import rig_of
+from greygate.mismatch.model import Model
+from greygate.mismatch.rig import LINEAR, Rig
+from greygate.mismatch.simulation import corrected
+from greygate.plants.plant import Parameter, Plant
+from greygate.plants.recording import Recording
+from greygate.progress import Budget, Progress, silent
+
+READS = "reads"  # entry of a diagnosis that was made for a network: what that network reads
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """plant: with the diagnosed values and terms. filters, readings: as for `Task`.
+
+    said: (place, what became of it, why) of every effect. own: parameter of an effect -> the name of its term.
+    """
+
+    plant: Plant
+    filters: Mapping[str, Sequence[Filter]] = field(default_factory=dict)
+    readings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    said: Sequence[tuple[str, str, str]] = ()
+    own: Mapping[str, str] = field(default_factory=dict)
+
+
+def rig_for(task: Task, recordings: Sequence[Recording]) -> Rig:
+    """The rig of what a network is to compute: it is driven by what the network reads."""
+    channels = [n for n in (*task.inputs, *task.targets)]
+    runs = [_only(r, channels) for r in recordings]
+    rig = rig_of(task.reduced, runs)
+    straight = {n: replace(c, hold=LINEAR) for n, c in rig.channels.items() if n in task.measured}
+    return replace(rig, channels={**rig.channels, **straight})
+
+
+def _only(recording: Recording, channels: Sequence[str]) -> Recording:
+    return Recording(recording.dt, {n: recording[n] for n in channels}, {n: recording.units[n] for n in channels},
+                     recording.source)  # fmt: skip
+
+
+def asked(task: Task, recordings: Sequence[Recording], seconds: float, progress: Progress = silent) -> dict:
+    """The diagnosis of what a network is to compute, from these recordings; no further hypothesis after `seconds`."""
+    found = diagnose(rig_for(task, recordings), progress=progress, budget=Budget(seconds)).as_dict()
+    return found | {READS: list(task.inputs)}
+
+
+def correct(task: Task, recordings: Sequence[Recording], diagnosis: Mapping) -> Corrected:
+    """The plant as a diagnosis corrects it: of what the network computes, or of the whole plant.
+
+    Raises InputError as `simulate` for a diagnosis of another plant.
+    """
+    if diagnosis.get(READS) == list(task.inputs):
+        rig = rig_for(task, recordings)
+    else:
+        known = [n for n in recordings[0].channels if n in task.plant.symbols]
+        rig = rig_of(task.plant, [_only(r, known) for r in recordings])
+    model, values = corrected(rig, rig.to_explain().runs[0], diagnosis)
+    return _joined(rig, model, values, diagnosis)
+
+
+def _joined(rig: Rig, model: Model, values: Mapping[str, float], diagnosis: Mapping) -> Corrected:
+    plant, said = rig.plant, []
+    filters: dict[str, list[Filter]] = {}
+    readings: dict[str, dict[str, str]] = {}
+    sure = {s: p for s, p in diagnosis["parameters"].items()}
+    for entry in diagnosis["effects"]:
+        sure |= entry["parameters"]
+    acting = {key: e for key, e in model.effects.items() if any(values.get(f.symbol) for f in e.strengths)}
+    left = {key: why for key, e in acting.items() if (why := _unbuilt(e, values, model))}
+    for key, effect in acting.items():
+        where = ", ".join(effect.equations)
+        said.append(
+            (
+                where,
+                f"{effect.means} left out" if key in left else effect.means,
+                left.get(key) or _sized(effect, values),
+            )
+        )
+    built = [e for key, e in acting.items() if key not in left]
+    for effect in built:
+        for name, text in effect.filters.items():
+            kind, *symbols = text.split()
+            filters.setdefault(name, []).append((kind, tuple(values[s] for s in symbols)))
+        for path, text in effect.terms.items():
+            where, _, term = path.partition(".")
+            if where.startswith(SENSOR):
+                readings.setdefault(where.removeprefix(SENSOR), {})[f"{effect.key}_{term}"] = text
+        plant = _with(plant, effect, values)
+    plant = replace(plant, parameters={s: _known(s, p, values, sure) for s, p in plant.parameters.items()})
+    own = {f.symbol: e.key for e in built for f in e.free if e.terms and e.id != "unknown"}
+    return Corrected(plant, filters, readings, said, own)
+
+
+def _with(plant: Plant, effect: Effect, values: Mapping[str, float]) -> Plant:
+    """The plant with an effect's parameters, states, definitions and terms."""
+    brought = {} if effect.frees else {f.symbol: Parameter(values[f.symbol], f.unit) for f in effect.free}
+    plant = replace(
+        plant,
+        parameters={**plant.parameters, **brought},
+        states={**plant.states, **effect.states},
+        equations={**plant.equations, **effect.equations_of},
+        definitions={**effect.definitions, **plant.definitions},
+    )
+    for path, text in effect.terms.items():
+        where, _, term = path.partition(".")
+        if not where.startswith(SENSOR):
+            plant = plant.with_term(where, term if effect.id == "unknown" else effect.key, text)
+    return plant
+
+
+def _known(symbol: str, parameter: Parameter, values: Mapping[str, float], sure: Mapping) -> Parameter:
+    """A parameter with its diagnosed value, as sure as the diagnosis is of it."""
+    value = values.get(symbol, parameter.value)
+    ends = sure.get(symbol, {}).get("ci95")
+    if not ends or None in ends or not value:
+        return replace(parameter, value=value)
+    return replace(parameter, value=value, tolerance=abs(ends[1] - ends[0]) / 2 / abs(value), plus_minus=0.0)
+
+
+def _unbuilt(effect: Effect, values: Mapping[str, float], model: Model) -> str:
+    """Why a network has no module for an effect; empty where it has."""
+    if effect.uses(TIME):
+        return "it goes with the time, and a network has no clock"
+    for name, text in effect.filters.items():
+        kind, *symbols = text.split()
+        if name.startswith(SENSOR):
+            return "it is the sensor's, and the network gives what the sensor is shown"
+        if any(how.partition(" ")[2] == name for how in model.rig.plant.derived.values()):
+            return f"{name} is measured, and the network reads its rate too"
+        if why := unbuilt(kind, [values[s] for s in symbols], model.rig.dt):
+            return why
+    return ""
+
+
+def _sized(effect: Effect, values: Mapping[str, float]) -> str:
+    return "the diagnosis names it: " + ", ".join(
+        f"{f.symbol} = {values[f.symbol]:.4g} {f.unit}".strip() for f in effect.free
+    )

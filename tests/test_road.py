@@ -1,0 +1,159 @@
+"""From a plant and its diagnosis to a network: exact integration, named effects as modules, and what is refused."""
+
+import numpy as np
+import pytest
+
+from greygate.errors import InputError
+from greygate.identify.expert.acting import FILTERS, acting
+from greygate.identify.expert.building import build, corrected_task
+from greygate.identify.expert.decisions import Log
+from greygate.identify.expert.diagnosed import READS, correct
+from greygate.identify.expert.integration import SCHEMES, step
+from greygate.identify.expert.parts import part
+from greygate.identify.expert.refined import refined
+from greygate.identify.expert.task import Task
+from greygate.mismatch.model import FILTERS as ON_RECORD
+from greygate.models.accuracy import rms
+from greygate.models.network import Network, Port
+from greygate.plants.plant import Plant
+from greygate.plants.recording import Recording
+from greygate.plants.simulator import simulate
+
+CART = {
+    "step": 2e-4,
+    "outputs": ["x"],
+    "inputs": {"u": "V"},
+    "parameters": {"mass": [2.0, "kg", 0.05], "k_f": [5.0, "N/V", 0.1], "b": [20.0, "N s/m", 0.3]},
+    "states": {"x": {"unit": "m", "rate": "v"}, "v": {"unit": "m/s"}},
+    "equations": {
+        "place": {"x": {"speed": "v"}},
+        "cart": {"v": {"storage": "mass", "motor": "k_f * u", "guide": "-b * v"}},
+    },
+}
+DIAGNOSIS = {
+    "schema": "diagnosis/2",
+    "plant": "cart",
+    "verdict": "missing_physics",
+    "effects": [
+        {"id": "dry_friction", "form": "dry_friction", "equations": ["cart"],
+         "parameters": {"f_v": {"value": 6.0}, "f_v_speed": {"value": 0.003}}}
+    ],
+    "parameters": {"mass": {"value": 2.06}, "k_f": {"value": 5.3}, "b": {"value": 24.0}},
+}  # fmt: skip
+SAMPLES, DT = 600, 5e-3
+
+
+def recorded(plant: Plant, seed: int, dt: float = DT) -> Recording:
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-8, 8, SAMPLES // 40), 40)
+    return simulate(plant, {"u": u}, sample_time=dt, step=2e-4)
+
+
+@pytest.fixture(scope="module")
+def cart() -> Plant:
+    return Plant.of("cart", CART)
+
+
+@pytest.fixture(scope="module")
+def real(cart) -> Plant:
+    return cart.with_term("cart", "dry", "-6.0 * tanh(v / 0.003)").with_parameters(k_f=5.3, b=24.0, mass=2.06)
+
+
+@pytest.fixture(scope="module")
+def built(cart, real):
+    return build(cart, {"first": recorded(real, 1)}, {"other": recorded(real, 2)}, diagnosis=DIAGNOSIS)
+
+
+def test_a_diagnosed_cart_errs_by_a_thousandth_of_what_the_data_sheet_does(built):
+    rms = {who: by["other"]["x"] for who, by in built.rms.items()}
+    assert rms["network"] < 1e-3  # m; issue 44
+    assert rms["network"] < 5e-3 * rms["nominal"]
+    assert rms["corrected"] < 1e-5
+
+
+def test_named_friction_is_one_tanh_neuron_in_each_evaluation_and_nothing_else_bends(built):
+    layers = built.network.layers()
+    bent = [layer for layer in layers.values() if not layer.is_linear]
+    (scheme,) = [d for d in built.log.decisions if d.about == "integration"]
+    assert {layer.activation for layer in bent} == {"tansig"}
+    substeps, order = int(scheme.choice.split()[0]), 2 if "second order" in scheme.choice else 1
+    assert len(bent) == substeps * order
+    assert "cart.dry_friction" in scheme.reason
+
+
+def test_no_unknown_term_is_tried_where_the_diagnosis_leaves_nothing(built):
+    assert not [d for d in built.log.decisions if "an unknown term" in d.choice]
+    assert [d for d in built.log.decisions if d.about == "cart" and d.choice == "dry friction"]
+
+
+def test_a_linear_plant_needs_one_step_and_equals_its_simulation(cart):
+    told = {**DIAGNOSIS, "verdict": "consistent", "effects": [], "parameters": {}}
+    run = recorded(cart, 3)
+    found = build(cart, {"first": run}, {}, diagnosis=told)
+    (scheme,) = [d for d in found.log.decisions if d.about == "integration"]
+    assert scheme.choice == "one step a sample, of first order"
+    assert found.rms["network"]["first"]["x"] < 1e-9 * np.ptp(run["x"])
+
+
+def test_a_diagnosis_of_another_plant_is_refused(cart, real):
+    with pytest.raises(InputError, match="is of wagon, the rig is cart"):
+        build(cart, {"first": recorded(real, 1)}, {}, diagnosis={**DIAGNOSIS, "plant": "wagon"})
+
+
+def test_a_plant_that_no_step_follows_is_refused_by_its_term(cart):
+    stiff = cart.with_term("cart", "wall", "-2e18 * x**3")
+    told = {**DIAGNOSIS, "verdict": "consistent", "effects": [], "parameters": {}}
+    with pytest.raises(InputError, match=r"no network of it: cart.wall turns by .* 0.01 is allowed; record faster"):
+        build(stiff, {"first": recorded(stiff, 1)}, {}, diagnosis=told)
+
+
+def test_named_friction_takes_a_fuller_shape_where_the_recording_has_one(cart):
+    stribeck = "-6.0 * tanh(v / 0.003) * (1.0 + 0.5 * exp(-(v / 0.1)**2))"
+    run = recorded(cart.with_term("cart", "dry", stribeck), 5)
+    task = Task.of(cart, [run], (), ())
+    told = {**DIAGNOSIS, "parameters": {}, READS: ["u"]}
+    found = correct(task, [run], told)
+    known = corrected_task(task, found, (), told, Log())
+    tried = dict(refined(known, cart.parameters, [run], found.own, lambda line: None))
+    fuller = tried["a fuller dry_friction"].plant.parameters
+    missed = {what: rms(made.nominal(run)["x"] - run["x"]) for what, made in tried.items()}
+    assert missed["a fuller dry_friction"] < 0.01 * missed["its values"]
+    assert fuller["f_v_static"].value == pytest.approx(0.5, rel=0.05)
+    assert fuller["f_v_stribeck"].value == pytest.approx(0.1, rel=0.05)
+
+
+def test_a_linear_step_is_exact_and_a_sum_does_not_leak():
+    a, h = np.array([[0.0, 1.0], [0.0, -12.0]]), 5e-3
+    found, decay = step(a, h), np.exp(-12.0 * h)
+    assert found.own[0].tolist() == [1.0, pytest.approx((1 - decay) / 12.0, rel=1e-12)]
+    assert found.own[1].tolist() == [0.0, pytest.approx(decay, rel=1e-14)]
+    assert found.first[1, 1] == pytest.approx((1 - decay) / 12.0, rel=1e-12)
+    assert found.second[1, 1] == pytest.approx((decay - 1 + 12.0 * h) / (144.0 * h), rel=1e-9)
+
+
+def test_cheaper_schemes_are_tried_first():
+    counts = [scheme.evaluations for scheme in SCHEMES]
+    assert counts == sorted(counts)
+    assert counts[0] == 1
+    assert counts[-1] == 16
+
+
+GIVEN = {
+    "offset": (0.3,), "skew": (0.2,), "dead_zone": (0.5,), "saturation": (0.9, 1.5), "play": (0.4,),
+    "rate_limit": (0.8, 30.0), "lag": (0.02,), "delay": (0.0125,),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FILTERS)
+def test_layers_of_an_input_do_what_the_filter_of_a_diagnosis_does(kind):
+    signal = 2.0 * np.sin(np.arange(200) * 0.13) + np.random.default_rng(4).normal(size=200) + 0.7
+    network = Network("chain", [Port("u", "V", scale=3.0, initial=float(signal[0]))], [Port("y", "V", scale=3.0)])
+    network.connect(acting(network, "u", 3.0, [(kind, GIVEN[kind])], float(signal[0]), DT), "y")
+    assert network.run({"u": signal})["y"] == pytest.approx(ON_RECORD[kind](signal, *GIVEN[kind], DT), abs=1e-12)
+
+
+def test_a_root_is_found_in_the_library():
+    log, seen = Log(), {"h": np.linspace(0.05, 0.4, 300)}
+    found = part("outflow", lambda at: 3e-4 * np.sqrt(np.maximum(at["h"], 0.0)), seen, {"h": []}, 0, log)
+    assert found.of_library
+    assert "library network square_root" in log.decisions[-1].choice
