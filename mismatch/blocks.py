@@ -178,10 +178,10 @@ class Judge:
         than those to its blocks.
         """
         blocks = self.blocks(plain, fit)
-        unseen = (np.concatenate([self.unseen(f, held, exact) for held in blocks]) for f in (plain, fit))
-        return self._not_less(*unseen, "where not learnt from") or self._not_less(
-            self.errors(plain.values), self.errors(fit.values), "where it was learnt from"
-        )
+        before, after = (np.concatenate([self.unseen(f, held, exact) for held in blocks]) for f in (plain, fit))
+        if why := self._not_less(before, after, "where not learnt from"):
+            return why
+        return self._not_less(self.errors(plain.values), self.errors(fit.values), "where it was learnt from")
 
     def _not_less(self, before: np.ndarray, after: np.ndarray, where: str) -> str:
         """Why errors (samples, channels) are no smaller than others, in words; empty where they are."""
