@@ -167,7 +167,7 @@ def _named(rig: Rig, diagnosis: Mapping, kinds: Kinds) -> tuple[Effect, dict[str
         wish = (
             "`greygate identify` builds one from a recording"
             if rig.plant.outside
-            else f"these have one: {', '.join(kinds)}"
+            else f"these have one: {', '.join(kinds)}; `greygate build-snn --diagnosis` makes one of any other"
         )
         raise InputError(f"augment: {plant} has no structured network; {wish}")
     names = [entry["id"] for entry in diagnosis["effects"]]

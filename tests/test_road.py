@@ -1,5 +1,7 @@
 """From a plant and its diagnosis to a network: exact integration, named effects as modules, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -120,6 +122,16 @@ def test_named_friction_takes_a_fuller_shape_where_the_recording_has_one(cart):
     assert missed["a fuller dry_friction"] < 0.01 * missed["its values"]
     assert fuller["f_v_static"].value == pytest.approx(0.5, rel=0.05)
     assert fuller["f_v_stribeck"].value == pytest.approx(0.1, rel=0.05)
+
+
+def test_nothing_is_refined_that_misses_the_recording_by_its_noise_alone(cart):
+    run = recorded(cart, 6)
+    noisy = run["x"] + 1e-5 * np.random.default_rng(7).standard_normal(SAMPLES)
+    noisy = Recording(run.dt, {"u": run["u"], "x": noisy}, run.units)
+    task = Task.of(cart, [noisy], (), ())
+    assert refined(task, cart.parameters, [noisy], {}, lambda line: None) == []
+    off = replace(task, plant=cart.with_parameters(b=22.0))
+    assert [what for what, _ in refined(off, cart.parameters, [noisy], {}, lambda line: None)] == ["its values"]
 
 
 def test_a_linear_step_is_exact_and_a_sum_does_not_leak():

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 from greygate.errors import InputError
 from greygate.identify.expert.task import Task
+from greygate.mismatch.scales import noise
 from greygate.models.accuracy import rms
 from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter
@@ -19,6 +20,7 @@ from greygate.plants.recording import Recording
 
 RUNS = 25  # iterations of a fit, at most
 WORK = 1e8  # steps of integration in a fit, at most: about a minute of a core
+QUIET = 1.25  # times a recording's noise, below which nothing is left to fit
 DIFFERENCE = 1e-4  # of a parameter's scale, for a difference
 WILD = 1e3  # errors, in units of those at the start, by which a run that diverges is off
 LONGEST = 5.0  # of its logarithm: no own parameter of an effect moves further
@@ -79,8 +81,10 @@ def refined(
     """What may be better than a diagnosed task: (what it is, the task), each fitted to the recordings.
 
     sheet: the parameters as the data sheet has them. own: parameter of an effect -> that effect. A fit whose start
-    diverges is left out.
+    diverges is left out; nothing is fitted where the task misses the recordings by no more than their noise.
     """
+    if _quiet(task, recordings):
+        return []
     found = []
     for said, trial in _trials(task, sheet, recordings, own):
         progress(f"fitting {said}")
@@ -89,6 +93,15 @@ def refined(
         except InputError:  # the start diverges
             continue
     return found
+
+
+def _quiet(task: Task, recordings: Sequence[Recording]) -> bool:
+    """Whether a task misses the recordings by little more than their noise."""
+    try:
+        runs = [(task.nominal(r), r) for r in recordings]
+    except InputError:  # it diverges
+        return False
+    return all(rms(run[t] - r[t]) <= QUIET * noise(r[t]) for run, r in runs for t in task.targets)
 
 
 def _trials(
