@@ -28,8 +28,8 @@ class Free:
 
     typical: its scale. low, high: physical bounds. guess: values at which a search starts, besides `typical`. scan:
     "wave" for the period of a wave, which is looked for along the travel. shape: the parameter shapes the effect, and
-    has no meaning where the effect is zero. whole: the value is a whole number and is not fitted. least: a value that
-    is certainly smaller is not this effect. reported: its name in a diagnosis.
+    has no meaning where the effect is zero. whole: the value, a whole number or a place, is not fitted. least: a value
+    that is certainly smaller is not this effect. reported: its name in a diagnosis.
     """
 
     symbol: str
