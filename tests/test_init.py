@@ -59,7 +59,7 @@ def test_a_rig_to_start_from_is_read_at_once(greygate, folder):
 def test_what_is_there_is_not_overwritten(greygate, folder):
     for command, file in (("init", "net.toml"), ("init-rig", "rig")):
         (folder / file).write_text("mine")
-        code, _, said = greygate(command, file.removesuffix(".toml"), "run.csv", "--output", "y")
+        code, _, said = greygate(command, "run.csv", "--out", file.removesuffix(".toml"), "--output", "y")
         assert code == 2
         assert "is there already" in said
         assert (folder / file).read_text() == "mine"

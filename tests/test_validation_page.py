@@ -126,7 +126,7 @@ def test_an_unbounded_free_run_is_exit_code_1_with_page_and_json(folder):
         (["nobody"], "no network is called 'nobody'"),
         (["arx.toml", "missing.csv"], "missing.csv: cannot be read"),
         (["arx.toml", "train.csv", "--lags", "200"], "600 samples are too few for 200 lags"),
-        (["arx.toml", "train.csv", "--out", "no/page.html"], "cannot write here"),
+        (["arx.toml", "train.csv", "--html", "no/page.html"], "cannot write here"),
     ],
 )
 def test_wrong_use_is_named_and_nothing_is_written(folder, arguments, message):

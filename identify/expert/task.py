@@ -60,6 +60,9 @@ class Task:
         for name in (*sensors, *targets):
             if name not in plant.symbols - set(plant.parameters):
                 raise InputError(f"plant {plant.name}: has no signal {name}; it has {', '.join(plant.outputs)}")
+        if given := [name for name in targets if name in plant.inputs]:
+            them = ", ".join(plant.outputs)
+            raise InputError(f"plant {plant.name}: {given[0]} is an input, which nothing computes; it has {them}")
         targets = tuple(targets or (n for n in plant.outputs if n in recorded and n not in sensors))
         if not targets:
             raise InputError(f"plant {plant.name}: no output is on record but those of a sensor; name one by --output")
