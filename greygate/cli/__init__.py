@@ -14,7 +14,7 @@ import typer
 
 from greygate import __version__
 from greygate.cli import bench, boards, builds, compiling, exports, networks, recordings, rigs, tools
-from greygate.cli.grammar import Commands, renamed
+from greygate.cli.grammar import Commands
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
@@ -123,7 +123,7 @@ def _mistake(error: Exception) -> str | None:
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, UsageError):
-        return error.format_message() + renamed(error)
+        return error.format_message()
     if isinstance(error, MemoryError):
         return "out of memory; give fewer or shorter recordings"
     if isinstance(error, OSError):

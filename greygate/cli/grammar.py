@@ -1,17 +1,41 @@
-"""What holds for every command: headings in `greygate --help`, short options, and what an old word is called."""
+"""What holds for every command: headings in `greygate --help`, short options, and old spellings.
 
-import re
+An old spelling is understood, and one line on stderr says what it is called.
+"""
+
+import shlex
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
 from typing import Any
 
 from typer.core import TyperGroup
 
+from greygate.cli.terminal import say
+
 SHORT = {"--out": "-o", "--jobs": "-j", "--diagnosis": "-d", "--html": "-H", "--json": "-J"}  # the most used ones
-OLD = {  # what older scripts say -> what it is called
-    **{name: f"`greygate dev {name}`" for name in ("bench-concealed", "conceal", "reveal", "schema")},
-    **{"--record": "an argument", "--recording": "an argument", "--device": "`greygate explore --target`"},
-    **{"--limit": "--seconds", "--budget": "--max-error", "--target": "--output", "--out": "--html"},
-    "--port": "--interface",
+ARGUMENT = ""  # a word that is no option
+RECORD, LIMIT = {"--record": ARGUMENT}, {"--limit": "--seconds"}
+OLD_COMMANDS = {name: ("dev", name) for name in ("bench-concealed", "conceal", "reveal", "schema")}
+EXPLORING = ("compile", "--device", "explore")  # that command with this option is the other command
+OLD_OPTIONS = {  # command -> old option -> what it is called; {} is its value
+    "init": RECORD,
+    "init-rig": RECORD,
+    "train": RECORD,
+    "validate": {**RECORD, "--out": "--html"},
+    "compile": {**RECORD, "--budget": "--max-error={}x"},
+    "explore": {**RECORD, "--device": "--target"},
+    "build-snn": {"--target": "--output"},
+    "simulate": {"--recording": ARGUMENT},
+    "prove": LIMIT,
+    "synthesize": LIMIT,
+    "report": {"--out": "--html"},
+    "compare": {"--out": "--html"},
+    "board": {"--port": "--interface"},
+    "dev bench-concealed run": LIMIT,
+    "dev bench-concealed score": {"--rows": "--out"},
 }
+RESULTS = ("init", "init-rig", "dev bench-concealed make")  # whose first argument, a name, was what is --out
 
 
 class Commands(TyperGroup):
@@ -22,6 +46,9 @@ class Commands(TyperGroup):
         for command in leaves(self).values():
             for option in command.params:
                 option.opts = [*(SHORT[word] for word in option.opts if word in SHORT), *option.opts]
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, args if ctx.resilient_parsing else spelt(self, args))
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         headings: dict[str, list[tuple[str, str]]] = {}
@@ -43,11 +70,54 @@ def leaves(group: Any, path: str = "") -> dict[str, Any]:
     return found
 
 
-def renamed(error: Any) -> str:
-    """What a word that click refused is called now; "" where it was never a word of that command."""
-    if error.ctx is None or not (
-        refused := re.search(r"No such (?:option: |command ')([\w-]+)", error.format_message())
-    ):
-        return ""
-    new, options = OLD.get(refused[1], ""), {word for option in error.ctx.command.params for word in option.opts}
-    return f" (it is called {new} now)" if new and (new[:2] != "--" or new in options) else ""
+def spelt(root: Any, given: list[str]) -> list[str]:
+    """The arguments of `greygate` as they are called; if they were others, a line on stderr says so."""
+    args = [*OLD_COMMANDS.get(given[0], given[:1]), *given[1:]] if given else []
+    known = leaves(root)
+    name = next((n for n in known if n.split() == args[: len(n.split())]), None)
+    if name is not None:
+        args = _of(name, args[len(name.split()) :], known)
+    if args != given:
+        say(f"greygate: an old spelling; it is called: greygate {shlex.join(args)}")
+    return args
+
+
+def _of(name: str, args: list[str], known: dict[str, Any]) -> list[str]:
+    """A command and its arguments, as they are called."""
+    ends = args.index("--") if "--" in args else len(args)
+    found = [*_words(args[:ends], known[name])]
+    command, option, other = EXPLORING
+    called = other if name == command and any(word == option for word, _, _ in found) else name
+    renamed, slots = OLD_OPTIONS.get(called, {}), [p for p in known[called].params if p.param_type_name == "argument"]
+    moved = [value for word, value, _ in found if word and renamed.get(word) == ARGUMENT]
+    arguments = [value for word, value, _ in found if not word] + moved
+    options = [w for word, value, written in found if word for w in _option(renamed, word, value, written)]
+    named = {"--out", "-o"} & {word for word, _, _ in found}
+    if name in RESULTS and not named and len(arguments) > len(slots) and not (slots and Path(arguments[0]).suffix):
+        options += ["--out", arguments.pop(0)]
+    elif not any(word in renamed for word, _, _ in found):
+        return [*name.split(), *args]
+    return [*called.split(), *arguments, *options, *args[ends:]]
+
+
+def _option(renamed: dict[str, str], word: str, value: str, written: list[str]) -> list[str]:
+    """An option as it is called; nothing of one that is an argument."""
+    new = renamed.get(word)
+    if new is None:
+        return written
+    return [new.format(value)] if "{}" in new else [new, value] if new else []
+
+
+def _words(args: list[str], command: Any) -> Iterator[tuple[str, str, list[str]]]:
+    """Option, value and both as they are written; an argument is a value alone."""
+    flags = {word for p in command.params for word in (*p.opts, *p.secondary_opts) if getattr(p, "is_flag", False)}
+    left = iter(args)
+    for word in left:
+        name, equals, value = word.partition("=")
+        if len(word) < 2 or word[0] != "-":
+            yield ARGUMENT, word, [word]
+        elif equals or word in flags | {"--help"} or (word[1] != "-" and len(word) > 2):
+            yield name, value, [word]
+        else:
+            after = [*islice(left, 1)]
+            yield word if after else word + "=", "".join(after), [word, *after]

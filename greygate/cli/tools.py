@@ -9,6 +9,7 @@ import typer
 
 from greygate import schemas
 from greygate.cli import words
+from greygate.cli.grammar import spelt
 from greygate.cli.terminal import Json, give, print_out, recordings
 from greygate.errors import InputError
 
@@ -53,6 +54,7 @@ def ci_template(
         raise InputError(f"--out: the workflow compiles into {BUILD}; leave it out")
     root: Any = context.find_root().command
     how = "explore" if any(word.split("=")[0] == "--target" for word in making) else "compile"
+    how, *making = spelt(root, [how, *making])
     given = root.commands[how].make_context(how, [*making, "--out", BUILD]).params
     source = Source(network, recordings([*given["record"], *given["held"]]))
     source.records()
