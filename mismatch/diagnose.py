@@ -331,13 +331,15 @@ def _worn(state: State) -> State:
     judge = Judge(claims.fit.likelihood)
     if not (why := _no_better(judge, claims.calibrated, claims.fit)):
         return state
-    by_rule = fitted_by_rule(search, best, claims.fit)
-    alone = fitted_beside(claims)
-    for again, fit in ((by_rule, by_rule), (alone, None)):
-        if again is None or unborne(search, best, again) or _no_better(judge, claims.calibrated, again):
-            continue
-        fit = fit or again.likelihood.fit(claims.fit.unknowns, again.values, again.shifts, iterations=0)
-        return _written(state, replace(claims, fit=fit))
+
+    def earns(fit: Fit) -> bool:
+        return not unborne(search, best, fit) and not _no_better(judge, claims.calibrated, fit)
+
+    if (again := fitted_by_rule(search, best, claims.fit)) and earns(again):
+        return _written(state, replace(claims, fit=again))
+    if earns(alone := fitted_beside(claims)):
+        whole = alone.likelihood.fit(claims.fit.unknowns, alone.values, alone.shifts, iterations=0)
+        return _written(state, replace(claims, fit=whole))
     return _judged(_reduced(state, Hypothesis(), f"{_named(search, best)} is taken back: {why}"))
 
 

@@ -19,7 +19,7 @@ from greygate.plants import kinds
 from greygate.plants.expressions import check_name, is_symbol
 from greygate.plants.plant import SHORTEST as SHORTEST_STEP
 from greygate.plants.plant import Parameter, Plant
-from greygate.plants.readers.read import read_recording
+from greygate.plants.readers.read import CLOCKS, read_recording
 from greygate.plants.recording import Recording, check_sizes, run_name
 from greygate.plants.table import CsvTable, read_header, read_table
 from greygate.progress import once
@@ -280,7 +280,7 @@ def _plain(path: Path) -> bool:
     if not path.name.lower().removesuffix(".gz").endswith(".csv"):
         return False
     header, _ = read_header(path)
-    return all(is_symbol(name) for name in header) and header[:1] not in (["t_s"], ["time"], ["time_s"])
+    return all(is_symbol(name) for name in header) and not CLOCKS - {"t"} & {*header[:1]}
 
 
 CHANNEL = {"unit": line, "role": one_of(("input", "output"))}
