@@ -11,12 +11,8 @@ NO_FLOATS := rtl random_hardware adders_hardware synthesis proofs engine board c
 .PHONY: demo docs pages test nightly test-old lint types fuzz train clean tools peers
 
 demo: $(VENV)/.ready | tools
-	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
-	$(BIN)/greygate compile mts --out $(OUT)/mts
-	$(BIN)/greygate verify $(OUT)/valve_cylinder
-	$(BIN)/greygate verify $(OUT)/mts
-	$(BIN)/greygate report $(OUT)/valve_cylinder $(OUT)/mts --html $(OUT)/report.html
-	@echo "open $(OUT)/report.html; the Verilog is in $(OUT)/*/rtl"
+	$(BIN)/greygate make recordings/cart/cart.toml recordings/cart/train.csv recordings/cart/test.csv --out $(OUT)/cart
+	@echo "open $(OUT)/cart/index.html; the Verilog is in $(OUT)/cart/compile/build/rtl"
 
 test: $(VENV)/.ready-dev | tools
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not nightly"

@@ -29,7 +29,7 @@ def report(
     >>> found["scenarios"]["train"]["outputs"]["y"]["hardware"]["parallel"]["equals_fixed"]
     True
     """
-    studies = [_study(project, WIDTHS if side_by_side else None, progress) for project in projects]
+    studies = [study_of(project, WIDTHS if side_by_side else None, progress) for project in projects]
     write(studies, out, Path(out).with_suffix(".json"), [results(studies), designs(studies)] if side_by_side else [])
     return studies
 
@@ -53,8 +53,8 @@ def plants(folder: Path, progress: Progress = silent) -> list[Project]:
     return found
 
 
-def _study(project: Project, widths: Sequence[int] | None, progress: Progress) -> dict:
-    """The study of one project."""
+def study_of(project: Project, widths: Sequence[int] | None = None, progress: Progress = silent) -> dict:
+    """The study of one project. widths: of words that are tried beside its own, by default as `study` does."""
     records = project.records()
     return study(
         project.facts["title"],

@@ -112,6 +112,7 @@ class Diagnosed(TypedDict):
     not_tried: NotRequired[Annotated[list[str], "Hypotheses for which there was no time."]]
     not_larger_than: NotRequired[list[RuledOut]]
     noise: NotRequired[dict[str, Noisy]]
+    reads: NotRequired[Annotated[list[str], "What a network reads that it was made for, as build-snn and make do."]]
 
 
 class Rms(TypedDict):

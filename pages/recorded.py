@@ -34,18 +34,16 @@ def _row(c: Channel) -> dict[str, str]:
 
 def page(found: Sequence[Channel], source: str) -> str:
     """Make one self-contained HTML page, on which each channel can be zoomed."""
+    title, plotly = f"greygate look: {source}", templates.plotly()
+    return templates.render("recorded.html", title=title, plotly=plotly, **drawings(found))
+
+
+def drawings(found: Sequence[Channel]) -> dict:
+    """The context of `channels.html`: a table of the channels, and a drawing of each."""
     drawn = []
     for c in found:
         factor, unit = display(c.unit, float(np.abs(c.values).max()))
         drawn.append(
             (c.name, len(c.values), curves({c.name: Trace(factor * c.values, "float")}, c.time, [unit or "1"]))
         )
-    return templates.render(
-        "recorded.html",
-        title=f"greygate look: {source}",
-        columns=COLUMNS,
-        rows=rows(found),
-        drawn=drawn,
-        most=DRAWN,
-        plotly=templates.plotly(),
-    )
+    return {"columns": COLUMNS, "rows": rows(found), "drawn": drawn, "most": DRAWN}

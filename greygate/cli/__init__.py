@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import bench, boards, builds, compiling, exports, networks, recordings, rigs, tools
+from greygate.cli import bench, boards, builds, compiling, exports, networks, recordings, rigs, tools, whole
 from greygate.cli.grammar import Commands
 from greygate.cli.terminal import say
 from greygate.errors import InputError
@@ -24,6 +24,7 @@ UsageError: Any = typer.BadParameter.__base__  # raised for an argument or optio
 _stopped: list[int] = []  # the exit codes that signals have asked for
 DEVELOPERS = "Developers"
 COMMANDS = {  # heading -> commands; those for developers are a group
+    "The whole way": (whole.make,),
     "Data": (recordings.look, recordings.init, recordings.init_rig),
     "Networks": (networks.identify, networks.train, networks.build_snn, networks.validate, networks.control),
     "Hardware": (

@@ -209,9 +209,7 @@ def build_snn(
         Path, typer.Option(metavar="FOLDER", help="Folder for NAME.toml, .safetensors, .json and NAME.decisions.txt.")
     ],
     test: Annotated[list[str], words.TEST] = [],
-    sensor: Annotated[
-        list[str], typer.Option(metavar="CHANNEL", help="An output of the plant that is measured in the field too.")
-    ] = [],
+    sensor: Annotated[list[str], words.SENSOR] = [],
     output: Annotated[list[str], words.OUTPUT] = [],
     diagnosis: Annotated[Path | None, words.DIAGNOSIS] = None,
     seconds: Annotated[float, words.SECONDS] = float("inf"),

@@ -55,6 +55,25 @@ class Comparing(TypedDict):
     differences: list[Compared]
 
 
+class StepDone(TypedDict):
+    step: str
+    figure: str
+    file: str
+    yes: bool
+    seconds: float
+    again: Annotated[bool, "It was done before, and nothing that it depends on has changed."]
+
+
+class Making(TypedDict):
+    """What was made of a plant and its recordings."""
+
+    out: str
+    page: str
+    passed: bool
+    unmet: Annotated[str, "Why no design will do; empty where one does."]
+    steps: list[StepDone]
+
+
 PassLeft = TypedDict(
     "PassLeft", {"pass": str, "layers": Count, "parameters": Count, "multiplications": Count, "remarks": list[str]}
 )

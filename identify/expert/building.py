@@ -25,6 +25,7 @@ from greygate.identify.expert.refined import refined
 from greygate.identify.expert.task import Task
 from greygate.identify.expert.wiring import Choices, Joined, Wiring, plain, poor
 from greygate.mismatch.diagnose import OPEN_VERDICTS
+from greygate.mismatch.rig import Rig
 from greygate.models.accuracy import Errors, float_error, free_run_rms, rms
 from greygate.models.network import Network, Port, Runner
 from greygate.models.prune import retrained
@@ -77,7 +78,7 @@ class Candidate:
 
 
 def build(
-    plant: Plant,
+    plant: Plant | Rig,
     recordings: Mapping[str, Recording],
     tests: Mapping[str, Recording],
     sensors: Sequence[str] = (),
@@ -86,7 +87,7 @@ def build(
     progress: Progress = silent,
     diagnosis: Mapping | None = None,
 ) -> Built:
-    """Build the network of a plant. recordings: to train on; tests: to judge the result on, else ends of the former.
+    """Build the network of a plant, or of a rig's, on recordings. tests: to judge the result on, else their ends.
 
     diagnosis: of the plant; else the recordings are diagnosed first, without the ends that decide.
     Raises InputError for a plant or recordings that no network can be made of.
@@ -119,7 +120,7 @@ def diagnosed(
     """The diagnosis of what is trained on; None, with the reason in the log, where there is none."""
     _, heads = parts_of(recordings, tested)
     try:
-        found = asked(task, [upto(r, heads[n]) for n, r in recordings.items()], seconds, progress)
+        _, found = asked(task, [upto(r, heads[n]) for n, r in recordings.items()], seconds, progress)
     except InputError as problem:
         log("diagnose", task.plant.name, "the data sheet as it is", f"no diagnosis: {problem}", undone=True)
         return None

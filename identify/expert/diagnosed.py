@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from greygate.identify.expert.acting import Filter, unbuilt
 from greygate.identify.expert.task import Task
 from greygate.mismatch.diagnose import diagnose
+from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.entries import SENSOR, TIME, Effect
 from greygate.mismatch.given import rig_of
 from greygate.mismatch.model import Model
@@ -32,24 +33,44 @@ class Corrected:
     own: Mapping[str, str] = field(default_factory=dict)
 
 
-def rig_for(task: Task, recordings: Sequence[Recording]) -> Rig:
-    """The rig of what a network is to compute: it is driven by what the network reads."""
+def rig_for(task: Task, recordings: Sequence[Recording], held: Sequence[Recording] = ()) -> Rig:
+    """The rig of what a network is to compute: it is driven by what the network reads. held: for the report alone.
+
+    What a rig's file says of its channels holds here too, and so do the effects beside it.
+    """
     channels = [n for n in (*task.inputs, *task.targets)]
-    runs = [_only(r, channels) for r in recordings]
-    rig = rig_of(task.reduced, runs)
-    straight = {n: replace(c, hold=LINEAR) for n, c in rig.channels.items() if n in task.measured}
-    return replace(rig, channels={**rig.channels, **straight})
+    runs, others = ([only(r, channels) for r in each] for each in (recordings, held))
+    rig = _beside(task, rig_of(task.reduced, runs, holdout=others or None))
+    told = {n: c for n, c in task.rig.channels.items() if n in channels} if task.rig else {}
+    known = {n: replace(c, role=rig.channels[n].role) for n, c in {**rig.channels, **told}.items()}
+    straight = {n: replace(c, hold=LINEAR) for n, c in known.items() if n in task.measured}
+    return replace(rig, channels={**known, **straight})
 
 
-def _only(recording: Recording, channels: Sequence[str]) -> Recording:
+def _beside(task: Task, rig: Rig) -> Rig:
+    """The rig with the effects that stand in the folder of the task's, and none of the recordings there."""
+    if task.rig is None:
+        return rig
+    held = tuple(name for name in rig.holdout if name in rig.given)
+    return replace(rig, folder=task.rig.folder, holdout=held)
+
+
+def only(recording: Recording, channels: Sequence[str]) -> Recording:
+    """A recording's channels of those names."""
     return Recording(recording.dt, {n: recording[n] for n in channels}, {n: recording.units[n] for n in channels},
                      recording.source)  # fmt: skip
 
 
-def asked(task: Task, recordings: Sequence[Recording], seconds: float, progress: Progress = silent) -> dict:
-    """The diagnosis of what a network is to compute, from these recordings; no further hypothesis after `seconds`."""
-    found = diagnose(rig_for(task, recordings), progress=progress, budget=Budget(seconds)).as_dict()
-    return found | {READS: list(task.inputs)}
+def asked(
+    task: Task, recordings: Sequence[Recording], seconds: float, progress: Progress = silent,
+    held: Sequence[Recording] = (),
+) -> tuple[Diagnosis, dict]:  # fmt: skip
+    """The diagnosis of what a network is to compute, and what is kept of it.
+
+    No further hypothesis is tried after `seconds`. held: recordings that it is only reported on.
+    """
+    found = diagnose(rig_for(task, recordings, held), progress=progress, budget=Budget(seconds))
+    return found, found.as_dict() | {READS: list(task.inputs)}
 
 
 def correct(task: Task, recordings: Sequence[Recording], diagnosis: Mapping) -> Corrected:
@@ -61,7 +82,7 @@ def correct(task: Task, recordings: Sequence[Recording], diagnosis: Mapping) -> 
         rig = rig_for(task, recordings)
     else:
         known = [n for n in recordings[0].channels if n in task.plant.symbols]
-        rig = rig_of(task.plant, [_only(r, known) for r in recordings])
+        rig = _beside(task, rig_of(task.plant, [only(r, known) for r in recordings]))
     model, values = corrected(rig, rig.to_explain().runs[0], diagnosis)
     return _joined(rig, model, values, diagnosis)
 

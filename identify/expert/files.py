@@ -8,7 +8,7 @@ from greygate.errors import InputError
 from greygate.files import making, replacing, writing
 from greygate.identify.expert.building import Built, build
 from greygate.identify.expert.decisions import Decision
-from greygate.mismatch.rig import load
+from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.simulation import read as read_diagnosis
 from greygate.models.accuracy import Errors
 from greygate.plain import Count, json_text, plain
@@ -63,12 +63,12 @@ def build_files(
         return _written(built, {n: files[n] for n in found}, out)
 
 
-def read(where: Path, files: Mapping[str, str]) -> tuple[Plant, dict[str, Recording]]:
-    """The plant of a file, or of a rig with its data sheet, and the recordings. Raises InputError."""
+def read(where: Path, files: Mapping[str, str]) -> tuple[Plant | Rig, dict[str, Recording]]:
+    """The plant of a file, or a rig, and the recordings. Raises InputError."""
     folder = where if where.is_dir() else where.parent
     if where.is_dir() or where.name == RIG:
         rig = load(folder)
-        return rig.plant, {name: rig.recording(Path(path)) for name, path in files.items()}
+        return rig, {name: rig.recording(Path(path)) for name, path in files.items()}
     return Plant.read(where), {name: read_recording(path, told=once) for name, path in files.items()}
 
 

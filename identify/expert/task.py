@@ -9,6 +9,7 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.identify.expert.acting import Filter
 from greygate.mismatch.model import FILTERS
+from greygate.mismatch.rig import Own, Rig
 from greygate.models.sampling import same
 from greygate.models.training.record import Record
 from greygate.plants.closure import Closure
@@ -28,7 +29,8 @@ class Task:
 
     rates: signal -> the measured signal whose rate it is, and how the plant derives it. step: sample time in s.
     measured: inputs that no converter holds, which go straight from one sample to the next.
-    filters, readings: how an input acts and what a target's sensor adds, as a diagnosis says.
+    filters, readings: how an input acts and what a target's sensor adds, as a diagnosis says. rig: what is known of the
+    machine besides, where it is a rig's.
     """
 
     plant: Plant
@@ -39,15 +41,20 @@ class Task:
     measured: frozenset[str] = frozenset()
     filters: Mapping[str, Sequence[Filter]] = field(default_factory=dict)
     readings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    rig: Rig | None = None
 
     @classmethod
     def of(
-        cls, plant: Plant, recordings: Sequence[Recording], sensors: Sequence[str], targets: Sequence[str]
+        cls, plant: Plant | Rig, recordings: Sequence[Recording], sensors: Sequence[str], targets: Sequence[str]
     ) -> "Task":
         """sensors: outputs that are measured in the field too. targets: by default every other output on record.
 
         Raises InputError for a signal that is not there or a plant that no network is made of.
         """
+        rig = None
+        if isinstance(plant, Rig):
+            rig, plant = plant, plant.plant
+            _alike(rig, recordings)
         if plant.outside is not None:
             why = "a model computes it, which has no equations here to build from"
             raise InputError(f"plant {plant.name}: {why}; `greygate identify` builds from the recordings alone")
@@ -83,7 +90,7 @@ class Task:
             raise InputError(f"plant {plant.name}: {', '.join(targets)} depends on no recorded input; name a --sensor")
         rates = {n: v for n, v in task.rates.items() if n in needed}
         straight = frozenset({*sensors, *(source for source, _ in rates.values())} & {*inputs})
-        return replace(task, inputs=inputs, rates=rates, measured=straight)
+        return replace(task, inputs=inputs, rates=rates, measured=straight, rig=rig)
 
     @classmethod
     def over(
@@ -233,6 +240,14 @@ class Task:
         inputs = {n: recording[n] for n in self.inputs}
         initial = {n: float(v[0]) for n, v in inputs.items()}
         return Record(inputs, {n: recording[n] for n in self.targets}, initial)
+
+
+def _alike(rig: Rig, recordings: Sequence[Recording]) -> None:
+    """Raise InputError where a recording has values of parameters of its own."""
+    for recording in recordings:
+        if own := rig.own.get(recording.name, Own()).parameters:
+            why = f"{next(iter(own))} has another value there, and a network has one; make it an input of the plant"
+            raise InputError(f"{recording.source}: {why}")
 
 
 def _rates(plant: Plant, sensors: Sequence[str]) -> dict[str, tuple[str, str]]:

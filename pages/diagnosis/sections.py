@@ -53,9 +53,17 @@ def signals(case: Diagnosed) -> dict:
         traces[kind] = Trace(_within(near(predicted[kind][:, i], target), target) * factor, colour)
     below, unit = _inputs(case, model)
     return {
-        "channel": channel, "record": name, "best": best, "inputs": ", ".join(below), "samples": len(target),
+        "channel": channel, "record": called(case, name), "best": best, "inputs": ", ".join(below),
+        "samples": len(target),
         "run": curves(traces | below, rig.dt, [labelled(channel, label), *([unit] if below else [])]), "drawn": DRAWN,
     }  # fmt: skip
+
+
+def called(case: Diagnosed, name: str) -> str:
+    """What a reader calls the recordings of that name: their file, where they are one."""
+    held, given = name == "holdout", case.result.rig.given
+    file = f"{name}.csv" if not given else "what was held out" if held else "the recording"
+    return f"{file}, which no fit has seen" if held else file
 
 
 def _within(predicted: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -156,7 +164,7 @@ def channels(case: Diagnosed) -> list[dict]:
         rows.append(
             {
                 "channel": channel,
-                "record": name,
+                "record": called(case, name),
                 "samples": len(target),
                 "run": run_data(errors, result, channel),
                 "zoom": zoom_picture(result, target, drawn, channel),
@@ -209,6 +217,7 @@ def where(case: Diagnosed) -> dict:
     before, after = case.residuals["calibrated"], case.residuals.get("corrected")
     return {
         "where": words.where(case.found),
+        "record": called(case, "identify"),
         "windowed": case.result.rig.window is not None,
         "changed": case.changed,
         "missing": [missing(case, place) for place in case.found["where"][:1] if "curve" in place],

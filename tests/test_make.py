@@ -1,0 +1,234 @@
+"""`greygate make`: from a plant and two recordings to verified Verilog, and again after a cut, a change, a mistake."""
+
+import json
+import shutil
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from checking import valid_files
+
+from greygate import make, steps
+from greygate.mismatch.model import Model
+from greygate.plants.plant import Plant
+from greygate.plants.recording import Recording
+from greygate.plants.simulator import simulate
+from greygate.plants.written import text
+
+LAG = """
+step = 1e-2
+outputs = ["y"]
+inputs = { u = "V" }
+[parameters]
+T = [0.5, "s", 0.3]
+[states]
+y = { unit = "V" }
+[equations]
+lag.y = { storage = "T", input = "u", loss = "-y" }
+"""
+NAMES = ["look", "diagnose", "correct", "build-snn", "validate", "compile", "verify"]
+SECONDS = 4  # for diagnosis and network
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory) -> Path:
+    """lag.toml, and three short recordings of a lag that takes 0.6 s."""
+    folder = tmp_path_factory.mktemp("lag")
+    (folder / "lag.toml").write_text(LAG)
+    real = Plant.read(folder / "lag.toml").with_parameters(T=0.6)
+    for seed, name in enumerate(("first", "second", "third")):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.uniform(-1, 1, 16), 15)
+        y = simulate(real, {"u": u}, sample_time=0.1, step=1e-2)["y"] + 1e-3 * rng.standard_normal(len(u))
+        Recording(0.1, {"u": u, "y": y}, {"u": "V", "y": "V"}).write_csv(folder / f"{name}.csv")
+    return folder
+
+
+def arguments(world: Path, out: Path, *more: str) -> list[str]:
+    files = [str(world / f"{n}.csv") for n in ("first", "second")]
+    return ["make", str(world / "lag.toml"), *files, "--out", str(out), "--seconds", str(SECONDS), *more]
+
+
+@pytest.fixture(scope="module")
+def made(world, tmp_path_factory) -> tuple[Path, dict]:
+    from command_line import greygate
+
+    out = tmp_path_factory.mktemp("made") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(make, "requested", partial(make.requested, widths=(16,), multipliers=(1,)))
+        code, printed, error = greygate(*arguments(world, out), "--json")
+    assert code == 0, error
+    return out, json.loads(printed)
+
+
+@pytest.fixture
+def copy(made, tmp_path) -> Path:
+    """The folder, to be spoilt."""
+    return Path(shutil.copytree(made[0], tmp_path / "out"))
+
+
+def again(printed: str) -> list[str]:
+    return [s["step"] for s in json.loads(printed)["steps"] if s["again"]]
+
+
+def test_the_steps_lead_to_hardware_that_errs_no_more_than_the_network(made):
+    out, told = made
+    assert [s["step"] for s in told["steps"]] == NAMES
+    assert told["passed"]
+    assert not any(s["again"] for s in told["steps"])
+    (study,) = json.loads((out / "verify" / "report.json").read_text())
+    assert list(study["scenarios"]) == ["first", "second"]
+    rmse = study["scenarios"]["second"]["outputs"]["y"]["rmse"]
+    assert rmse["fixed"] < 1.2 * rmse["float"] < 3e-3  # V; the noise is 1e-3
+    assert told["steps"][-1]["figure"].startswith("0 bits differ in 480 steps")
+    assert {"diagnosis.json", "report.json", "lag.json", "program.json"} <= {*valid_files(out)}
+
+
+def test_the_corrected_plant_is_one_that_errs_less(made, world):
+    out, _ = made
+    run = Plant.read(out / "correct" / "lag.toml")
+    recording = make.read(world / "lag.toml", {"second": str(world / "second.csv")})[1]["second"]
+    errors = [
+        np.std(simulate(plant, {"u": recording["u"]}, sample_time=0.1, step=1e-2)["y"] - recording["y"])
+        for plant in (run, Plant.read(world / "lag.toml"))
+    ]
+    assert errors[0] < 0.2 * errors[1]
+
+
+def test_the_page_shows_each_step_with_its_figure_and_a_picture(made):
+    out, told = made
+    page = (out / "index.html").read_text()
+    for step in told["steps"]:
+        section = page[page.index(f'<h2 id="{step["step"]}">') :].partition("</section>")[0]
+        assert step["figure"] in section
+        assert 'class="plot"' in section or "<svg" in section or 'class="bar"' in section, step
+
+
+def test_what_was_done_is_not_done_again(world, copy, greygate):
+    before = {p: p.read_bytes() for p in copy.rglob("*.json")}
+    code, printed, _ = greygate(*arguments(world, copy), "--json")
+    assert (code, again(printed)) == (0, NAMES)
+    assert {p: p.read_bytes() for p in copy.rglob("*.json")} == before
+
+
+def test_a_step_of_which_something_changed_is_done_again_with_those_after_it(world, copy, greygate, monkeypatch):
+    for name in NAMES[5:]:
+        monkeypatch.setitem(make.STEPS, name, (name, make._look))
+    code, printed, _ = greygate(*arguments(world, copy, "--max-error", "1.5x"), "--json")
+    assert (code, again(printed)) == (0, NAMES[:5])
+
+
+def test_another_version_does_all_again(world, copy, greygate, monkeypatch):
+    monkeypatch.setattr(make, "STEPS", {"look": make.STEPS["look"]})
+    for name in NAMES[1:]:
+        shutil.rmtree(copy / name)
+    assert again(greygate(*arguments(world, copy), "--json")[1]) == ["look"]
+    monkeypatch.setattr(steps, "__version__", "0.0")
+    assert again(greygate(*arguments(world, copy), "--json")[1]) == []
+
+
+def test_after_a_cut_the_rest_is_done_and_nothing_is_half_written(world, copy, greygate, monkeypatch):
+    shutil.rmtree(copy / "verify")
+
+    def cut(asked, out, new, progress):
+        (new / "half").write_text("written")
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setitem(make.STEPS, "verify", (make.STEPS["verify"][0], cut))
+        code, printed, _ = greygate(*arguments(world, copy))
+        assert sorted(p.name for p in copy.iterdir()) == sorted([*NAMES[:-1], "index.html"])
+        assert '<h2 id="verify">' not in (copy / "index.html").read_text()
+        patch.setitem(make.STEPS, "verify", (make.STEPS["verify"][0], make._look))
+        rest = greygate(*arguments(world, copy), "--json")[1]
+    assert again(rest) == NAMES[:-1]
+    assert (code, printed) == (130, "")
+
+
+def test_a_file_that_somebody_changed_is_not_overwritten(world, copy, greygate):
+    (copy / "correct" / "lag.toml").write_text("# mine\n")
+    code, printed, error = greygate(*arguments(world, copy))
+    assert (code, printed) == (2, "")
+    assert "correct: holds other files (lag.toml)" in error.splitlines()[-1]
+    assert (copy / "correct" / "lag.toml").read_text() == "# mine\n"
+
+
+def test_the_last_of_several_recordings_is_held_out_and_the_end_of_a_single_one(world, tmp_path):
+    def asked(*names):
+        files = {n: str(world / f"{n}.csv") for n in names}
+        return make.Asked.of(world / "lag.toml", files, {}, (), (), "up5k", "1.1x", 1.0)
+
+    several, single = asked("first", "second", "third"), asked("first")
+    assert ([*several.recordings], [*several.held]) == (["first", "second"], ["third"])
+    assert ([*single.recordings], [*single.held], single.judges) == (["first"], [], ["first"])
+    assert single.heads[0].samples == 144  # 0.75 of 0.8 of 240
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (["--target", "ice40"], "--target ice40: cannot be explored; choose"),
+        (["--max-error", "0.2bar"], "--max-error 0.2bar: no output has a unit of that kind, but V"),
+        (["--output", "z"], "plant lag: has no signal z; it has y"),
+        (["--test", "FIRST"], "first is both a recording to learn from and one to judge by"),
+        (["--out", "HERE"], "holds first.csv, which greygate make did not write; give a new folder"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_before_anything_is_written(world, tmp_path, greygate, given, says):
+    more = [{"FIRST": str(world / "first.csv"), "HERE": str(world)}.get(word, word) for word in given]
+    before = sorted(world.iterdir())
+    code, printed, error = greygate(*arguments(world, tmp_path / "out", *more))
+    assert (code, printed) == (2, "")
+    assert says in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    assert sorted(world.iterdir()) == before
+
+
+RIG = """plant = "lag.toml"
+sample_time_s = 0.1
+predict = ["y"]
+identify = ["first.csv"]
+holdout = ["second.csv"]
+[parameters]
+T = 0.5
+[tolerance]
+T = 0.3
+[channels.u]
+unit = "V"
+role = "input"
+[channels.y]
+unit = "V"
+role = "output"
+noise_rms = 1e-3
+"""
+
+
+def test_a_rig_brings_its_recordings_its_noise_and_its_own_effects(world, tmp_path):
+    rig = Path(shutil.copytree(world, tmp_path / "rig"))
+    (rig / "rig.toml").write_text(RIG)
+    asked = make.Asked.of(rig, {}, {}, (), (), "up5k", "1.1x", 1.0)
+    assert ([*asked.recordings], [*asked.held], asked.task.targets) == (["first"], ["second"], ("y",))
+    seen = make.correct.__globals__["rig_for"](asked.task, asked.heads)
+    assert (seen.channels["y"].noise, seen.folder, seen.held_out()) == (1e-3, rig, None)
+    assert Model(seen, seen.to_explain(), {}).target.shape == (180, 1)
+
+
+def test_recordings_with_values_of_their_own_are_refused(world, tmp_path, greygate):
+    rig = Path(shutil.copytree(world, tmp_path / "rig"))
+    (rig / "rig.toml").write_text(f"{RIG}[recordings]\nsecond.parameters = {{ T = 0.7 }}\n")
+    code, _, error = greygate("make", rig, "--out", tmp_path / "out")
+    assert code == 2
+    assert "second.csv: T has another value there, and a network has one; make it an input of the plant" in error
+    assert not (tmp_path / "out").exists()
+
+
+MACHINES = sorted((Path(__file__).parents[1] / "machines").glob("*/*.toml"))
+
+
+@pytest.mark.parametrize("path", MACHINES, ids=lambda p: p.stem)
+def test_a_plant_that_is_written_is_read_as_it_was(path, tmp_path):
+    plant = Plant.read(path)
+    (tmp_path / path.name).write_text(text(plant, "two\nlines"))
+    assert Plant.read(tmp_path / path.name) == plant
