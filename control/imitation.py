@@ -7,6 +7,7 @@ every sample what it would have done; the network is trained on all of that, and
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -32,10 +33,17 @@ def differences(port: str, delays: Sequence[int], gain: float = 1.0) -> list[Fea
 
 
 def imitator(
-    name: str, inputs: Sequence[Port], drive: Port, limits: Limits, features: Sequence[Feature], hidden: int, seed: int
+    name: str,
+    inputs: Sequence[Port],
+    drive: Port | Sequence[Port],
+    limits: Limits,
+    features: Sequence[Feature],
+    hidden: int,
+    seed: int,
 ) -> Network:
     """The network before training. Inputs: `ahead`, the reference so many samples ahead that delays reach the present
-    one; the measured ports; `last`, the last input. Output: `drive`.
+    one; the measured ports; `last`, the last input. Output: `drive`. Of several drives each has its own last input,
+    `last_NAME`, and its own wanted value.
 
         wanted = W seen + V tanh(U seen + b) + c       seen: the features, fixed sums of delayed inputs
         drive  = limit(last + limit_rate(wanted - last))
@@ -48,7 +56,8 @@ def imitator(
         for port, _ in feature:
             if port not in ports:
                 raise InputError(f"network {name}: a feature reads {port}; its inputs are {', '.join(ports)}")
-    network = Network(name, list(inputs), [drive])
+    drives = [drive] if isinstance(drive, Port) else list(drive)
+    network = Network(name, list(inputs), drives)
     taps = sorted({tap for feature in features for tap in feature})
     weights = {
         f"{port}_z{delay}": np.array([[f.get((port, delay), 0.0) * ports[port].scale] for f in features])
@@ -59,18 +68,28 @@ def imitator(
     rng, count = np.random.default_rng(seed), len(features)
     spread = rng.normal(size=(hidden, count)) / np.sqrt(count)
     network.add("hidden", Layer({"seen": spread}, rng.normal(size=hidden), "tansig"), {"seen": "seen"})
-    start = {"seen": np.zeros((1, count)), "hidden": 0.01 * rng.normal(size=(1, hidden))}
-    network.add("wanted", Layer(start, [0.0]), {"seen": "seen", "hidden": "hidden"})
-    one = {"wanted": [[1.0]], "last": [[-1.0]]}
-    network.add("change", Layer(one, [0.0], frozen={*one, "bias"}), {"wanted": "wanted", "last": LAST})
-    rate = limits.rate / abs(drive.scale)
-    low, high = sorted(drive.normalised(v) for v in (limits.low, limits.high))
-    network.add("rate", library("limiter", lo=-rate, hi=rate), {"x": "change"})
-    both = {"rate": [[1.0]], "last": [[1.0]]}
-    network.add("sum", Layer(both, [0.0], frozen={*both, "bias"}), {"rate": "rate", "last": LAST})
-    network.add("range", library("limiter", lo=low, hi=high), {"x": "sum"})
-    network.connect("range", drive.name)
+    for i, port in enumerate(drives):
+        start = {"seen": np.zeros((1, count)), "hidden": 0.01 * rng.normal(size=(1, hidden))}
+        bounds = [float(np.atleast_1d(v)[i if np.ndim(v) else 0]) for v in (limits.low, limits.high, limits.rate)]
+        _driven(network, port, bounds, start, "" if isinstance(drive, Port) else f"_{port.name}")
     return network.check()
+
+
+def _driven(network: Network, drive: Port, bounds: Sequence[float], start: Mapping[str, np.ndarray], own: str) -> None:
+    """Join what is wanted of a drive to it, through the limiters. own: the ending of the names that are its own."""
+    def added(name: str, module: Layer | Network, **feeds: str) -> None:
+        network.add(f"{name}{own}", module, feeds)
+
+    added("wanted", Layer(start, [0.0]), seen="seen", hidden="hidden")
+    one = {"wanted": [[1.0]], "last": [[-1.0]]}
+    added("change", Layer(one, [0.0], frozen={*one, "bias"}), wanted=f"wanted{own}", last=f"{LAST}{own}")
+    low, high = sorted(drive.normalised(v) for v in bounds[:2])
+    rate = min(bounds[2] / abs(drive.scale), high - low)
+    added("rate", library("limiter", lo=-rate, hi=rate), x=f"change{own}")
+    both = {"rate": [[1.0]], "last": [[1.0]]}
+    added("sum", Layer(both, [0.0], frozen={*both, "bias"}), rate=f"rate{own}", last=f"{LAST}{own}")
+    added("range", library("limiter", lo=low, hi=high), x=f"sum{own}")
+    network.connect(f"range{own}", drive.name)
 
 
 @dataclass
@@ -78,28 +97,45 @@ class Imitated:
     """The network as a controller, beside the network that replaces sensors. Each in float, emulator or hardware.
 
     ahead: samples by which port `ahead` leads. driven: the input of `sensor` that brings the last input of the plant.
+    tracked: outputs that do, where several names stand in `drive`: each has its own `ahead_NAME` and `last_NAME`.
     """
 
     network: Stepped
     sensor: Stepped | None
     ahead: int
     driven: str
-    drive: str
+    drive: str | Sequence[str]
+    tracked: Sequence[str] = ()
 
     def reset(self) -> None:
+        self.begun = False
         self.network.reset()
         if self.sensor:
             self.sensor.reset()
 
-    def inputs(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> dict[str, float]:
+    def inputs(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> dict[str, float]:
         """What the network reads at a sample."""
         seen = dict(measured)
+        if not isinstance(self.drive, str):
+            seen |= {f"{LAST}_{n}": float(v) for n, v in zip(self.drive, before, strict=True)}
+            ahead = reference[self.ahead]
+            return seen | {f"{AHEAD}_{n}": float(v) for n, v in zip(self.tracked, ahead, strict=True)}
         if self.sensor:
             seen |= self.sensor.step({**measured, self.driven: before} if self.driven else measured)
         return {**seen, LAST: before, AHEAD: float(reference[self.ahead])}
 
-    def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:
-        return self.network.step(self.inputs(measured, before, reference))[self.drive]
+    def awaited(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> list[dict[str, float]]:
+        """What it reads before its first sample, so that it remembers the reference up to where it sees ahead."""
+        if self.begun or isinstance(self.drive, str):
+            return []
+        self.begun = True
+        return [self.inputs(measured, before, np.tile(r, (self.ahead + 1, 1))) for r in reference[: self.ahead]]
+
+    def __call__(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> Any:
+        for row in self.awaited(measured, before, reference):
+            self.network.step(row)
+        answer = self.network.step(self.inputs(measured, before, reference))
+        return answer[self.drive] if isinstance(self.drive, str) else np.array([answer[n] for n in self.drive])
 
 
 @dataclass
@@ -124,17 +160,18 @@ class Watched:
         self.reads.reset()
         if self.driver:
             self.driver.reset()
-        self.rows: list[dict[str, float]] = []
+        self.rows: list[dict[str, Any]] = []
         self.led, self.since = False, 0  # by the expert; samples since which that is to change
 
-    def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:
+    def __call__(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> Any:
         answer = self.limits.kept(self.expert(measured, before, reference[: self.expert.ahead + 1]), before)
+        self.rows += [row | {"answer": before} for row in self.reads.awaited(measured, before, reference)]
         self.rows.append(self.reads.inputs(measured, before, reference) | {"answer": answer})
         if self.driver is None:
             return answer
         driven = self.limits.kept(self.driver(measured, before, reference), before)
-        most = min(2 * self.limits.rate, self.limits.high - self.limits.low)
-        apart = abs(driven - answer) > APART * most
+        most = np.minimum(2 * self.limits.rate, self.limits.high - self.limits.low)
+        apart = bool(np.any(np.abs(driven - answer) > APART * most))
         self.since = self.since + 1 if apart != self.led else 0
         if self.since > self.expert.ahead:
             self.led, self.since = apart, 0
@@ -144,7 +181,8 @@ class Watched:
         """What was read beside the expert's answers."""
         columns = {n: np.array([row[n] for row in self.rows]) for n in self.rows[0]}
         inputs = {p.name: columns[p.name] for p in network.inputs}
-        return Record(inputs, {network.outputs[0].name: columns["answer"]}, skip=skip)
+        answers = columns["answer"].reshape(len(self.rows), -1).T
+        return Record(inputs, {p.name: a for p, a in zip(network.outputs, answers, strict=True)}, skip=skip)
 
 
 def standardised(network: Network, records: Sequence[Record]) -> Network:

@@ -1,9 +1,9 @@
 """Closed loops: a controller on a rig, and what is asked of it."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,8 +18,8 @@ class Rig(Protocol):
     def measured(self) -> dict[str, float]:
         """What the sensors give now."""
 
-    def actuate(self, value: float) -> float:
-        """Hold an input for a sample; returns what the actuator made of it."""
+    def actuate(self, value: Any) -> Any:
+        """Hold an input, or (inputs,), for a sample; returns what the actuator made of it."""
 
     def truth(self) -> dict[str, float]:
         """What is judged: the output that tracks, those with limits, and `power` [W] that is drawn; no sensor's."""
@@ -32,13 +32,17 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Back to before the first step."""
 
-    def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:
-        """The input now. before: what acted since the last sample. reference: (ahead + 1,), from the present sample."""
+    def __call__(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> Any:
+        """The input now. before: what acted since the last sample. reference: (ahead + 1,), from the present sample.
+
+        Where there are several, the inputs are (inputs,), the reference (ahead + 1, outputs that track).
+        """
 
 
 @dataclass(frozen=True)
 class Run:
-    """A closed loop that was run. error: (N,) of the output that tracks. input: (N,) as the actuator made it.
+    """A closed loop that was run. error: (N,) of the output that tracks. input: (N,) as the actuator made it; both
+    have a column for each where there are several.
 
     signals: truth and measured, (N,). seconds: (N,) that the controller took on this computer. violations: samples in
     which a limit was broken, by limit.
@@ -71,22 +75,23 @@ def run(
     rig: Rig,
     controller: Controller,
     reference: np.ndarray,
-    output: str,
+    output: str | Sequence[str],
     limits: Limits,
     period: float,
-    start: float = 0.0,
+    start: Any = 0.0,
     progress: Progress = silent,
 ) -> Run:
     """Track a reference (N,) [unit of `output`]; beyond its end it rests. start: the input before the first sample.
 
-    Raises InputError for a reference that is empty or not finite.
+    Of several outputs the reference is (N, outputs), and start (inputs,). Raises InputError for a reference that is
+    empty or not finite.
     """
     reference = np.asarray(reference, float)
-    if reference.ndim != 1 or not reference.size or not np.isfinite(reference).all():
+    if reference.ndim != 1 + (not isinstance(output, str)) or not reference.size or not np.isfinite(reference).all():
         raise InputError(f"reference of shape {reference.shape}: give one sequence of finite numbers")
     samples, before = len(reference), start
-    longer = np.append(reference, np.full(controller.ahead, reference[-1]))
-    given, seconds = np.empty(samples), np.empty(samples)
+    longer = np.concatenate([reference, np.repeat(reference[-1:], controller.ahead, axis=0)])
+    given, seconds = np.empty((samples, *np.shape(start))), np.empty(samples)
     signals: dict[str, np.ndarray] = {}
     controller.reset()
     for k in range(samples):
@@ -100,14 +105,15 @@ def run(
         before = given[k]
         if not k % 1000:
             progress(f"sample {k} of {samples}")
-    return Run(signals[output] - reference, given, signals, seconds, _violations(limits, given, signals, start), period)
+    tracked = signals[output] if isinstance(output, str) else np.stack([signals[n] for n in output], axis=1)
+    return Run(tracked - reference, given, signals, seconds, _violations(limits, given, signals, start), period)
 
 
-def _violations(limits: Limits, given: np.ndarray, signals: Mapping[str, np.ndarray], start: float) -> dict[str, int]:
-    rounding = max(limits.resolution, 1e-9 * (limits.high - limits.low))  # what the actuator rounds breaks no limit
+def _violations(limits: Limits, given: np.ndarray, signals: Mapping[str, np.ndarray], start: Any) -> dict[str, int]:
+    rounding = np.maximum(limits.resolution, 1e-9 * (limits.high - limits.low))  # what the actuator rounds breaks no limit
     found = {
         "input": (given < limits.low - rounding) | (given > limits.high + rounding),
-        "rate": np.abs(np.diff(given, prepend=start)) > limits.rate + rounding,
+        "rate": np.abs(np.diff(given, axis=0, prepend=np.array(start)[None])) > limits.rate + rounding,
     }
     found |= {n: (signals[n] < low) | (signals[n] > high) for n, (low, high) in limits.outputs.items()}
     return {n: int(np.count_nonzero(broken)) for n, broken in found.items()}

@@ -1,16 +1,18 @@
-"""The state of a model beside the plant: a stationary Kalman filter on the model's own derivatives."""
+"""The state of a model beside the plant: Kalman filters, a stationary one of a network and an extended one of any."""
 
 from collections.abc import Mapping
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from greygate.control.modelled import Model, derivatives
 from greygate.control.prediction import online
 from greygate.control.stepping import Floating
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.kernels import sensitivities
 
+UNKNOWN = 0.01  # of a state's size, by which a plant may stand elsewhere before the first sample
 LEAST = 1e-6  # deviation, normalised, of what is said to be exact: the Riccati equation needs some
 
 
@@ -91,3 +93,34 @@ class Observer(Floating):
     def value(self, layer: str) -> float:
         """Of one layer of size 1, normalised."""
         return float(self._now[-1, self._place[layer][0]])
+
+
+class Kalman:
+    """An extended Kalman filter beside a plant, of what disturbs it at the beginning of every sample:
+
+        x(k+1) = f(x(k) + w(k), u(k)),   y(k+1) = g(x(k) + w(k), u(k)) + v(k+1)
+
+    measured: places of the model's signals -> standard deviation of v. process: (n,), that of w. sizes: (n,), of the
+    states, a share `UNKNOWN` of which is not known at first.
+    """
+
+    def __init__(self, model: Model, measured: Mapping[int, float], process: np.ndarray, sizes: np.ndarray):
+        self.model, self._sizes = model, sizes
+        self._rows, self._noise = [*measured], np.diag(np.square([*measured.values()]))
+        self._process = np.diag(process**2)
+        self.reset()
+
+    def reset(self) -> None:
+        self.state = self.model.start.copy()
+        self._spread = np.diag((UNKNOWN * self._sizes) ** 2)
+
+    def corrected(self, applied: np.ndarray, measured: np.ndarray) -> np.ndarray:
+        """The state now. applied: (inputs,) that acted since the last sample; measured: in the order of `measured`."""
+        state, seen, a, c = derivatives(self.model, self.state, applied, self._sizes)
+        c, spread = c[self._rows], self._spread + self._process
+        off = measured - seen[self._rows]
+        certain = c @ spread @ c.T + self._noise
+        gain = np.linalg.solve(certain, c @ spread @ a.T).T
+        self.state = state + gain @ off
+        self._spread = a @ spread @ a.T - gain @ certain @ gain.T
+        return self.state

@@ -1,6 +1,6 @@
 """The rival: a PI controller with velocity feed-forward, tuned on a trajectory of its own."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,29 @@ class Proportional:
         if self.limits.kept(wanted, before) == wanted:
             self._integral += self.gain * self.reset_rate * error * self.period
         return float(wanted)
+
+
+@dataclass
+class Loops:
+    """A PI controller of each output that tracks. columns: the input of each; the other inputs stay at `rest`."""
+
+    loops: Sequence[Proportional]
+    columns: Sequence[int]
+    rest: np.ndarray
+
+    def __post_init__(self) -> None:
+        self.ahead = max(loop.ahead for loop in self.loops)
+        self.reset()
+
+    def reset(self) -> None:
+        for loop in self.loops:
+            loop.reset()
+
+    def __call__(self, measured: Mapping[str, float], before: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        wanted = self.rest.copy()
+        for row, (loop, column) in enumerate(zip(self.loops, self.columns, strict=True)):
+            wanted[column] = loop(measured, float(before[column]), reference[:, row])
+        return wanted
 
 
 def tuned(

@@ -5,13 +5,13 @@ outputs by the plan are those by weights, which training has already (models/tra
 loop and delay.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.models.network import Layer, Network, Port
+from greygate.models.network import Connection, Layer, Network, Port
 from greygate.models.training.kernels import forward, sensitivities
 from greygate.models.training.objective import Objective
 
@@ -19,19 +19,38 @@ PLAN = "plan"
 State = Mapping[str, np.ndarray]  # layer or input -> (lags, size), newest first, normalised
 
 
-def online(network: Network, port: str) -> Network:
-    """The network as it runs beside the plant: at step k, `port` brings what acts from step k-1 to step k.
+def online(network: Network, *drives: str) -> Network:
+    """The network as it runs beside the plant: at step k, each of `drives` brings what acts from step k-1 to step k.
 
-    A network of a recording reads u(k-1) where it answers for step k. Raises InputError where it also reads u(k), which
-    acts only afterwards.
+    A network of a recording answers for step k from u(k-1). Layers that read u(k), which acts only afterwards, are
+    evaluated a step later with what they lead to, and read with one delay less (Leiserson, Saxe 1991). Raises
+    InputError where an output depends on u(k).
     """
     flat = network.flatten()
-    if port not in {p.name for p in flat.inputs}:
-        raise InputError(f"network {network.name}: no input {port}; it has {', '.join(p.name for p in flat.inputs)}")
-    if any(c.source == port and c.delay == 0 for c in flat.connections):
-        raise InputError(f"network {network.name}: an output at step k must depend on {port} before step k alone")
-    earlier = [replace(c, delay=c.delay - 1) if c.source == port else c for c in flat.connections]
-    return replace(flat, connections=earlier).check()
+    for port in drives:
+        if port not in (known := [p.name for p in flat.inputs]):
+            raise InputError(f"network {network.name}: no input {port}; it has {', '.join(known)}")
+    late = _at_once(flat, drives)
+    if answered := [c.target for c in flat.connections if c.delay == 0 and c.source in late and "." not in c.target]:
+        at = f"an output at step k must depend on {' and '.join(drives)} before step k alone"
+        raise InputError(f"network {network.name}: {at}; {answered[0]} reads what acts only afterwards")
+
+    def moved(c: Connection) -> Connection:
+        later = (c.target.rpartition(".")[0] in late) - (c.source in late)
+        return replace(c, delay=max(c.delay + later, 0))  # below 0 only where the weights are 0
+
+    return replace(flat, connections=list(map(moved, flat.connections))).check()
+
+
+def _at_once(flat: Network, drives: Sequence[str]) -> set[str]:
+    """The drives, and the layers that depend on them within a step."""
+    late, layers, feeds = set(drives), flat.layers(), flat.feeds()
+    for name in flat.order():
+        read = {source for port, w in layers[name].weights.items() for source, d in [feeds[f"{name}.{port}"]]
+                if d == 0 and w.any()}  # fmt: skip
+        if read & late:
+            late.add(name)
+    return late
 
 
 def knots(steps: int, count: int) -> np.ndarray:
@@ -69,6 +88,7 @@ class Prediction:
             given = ", ".join(p.name for p in model.inputs)
             raise InputError(f"network {model.name}: inputs {given}; a prediction plans one, {drive}, and has no other")
         self.port, self.basis = model.inputs[0], np.asarray(basis, float)
+        self.drives = [self.port]
         flat = online(model, drive)
         plan = Port(PLAN, size=self.basis.shape[1])
         layer = Layer({PLAN: np.zeros((1, plan.size))}, [0.0], initial=self.port.rest)
@@ -76,6 +96,7 @@ class Prediction:
         flat.connect(PLAN, f"{drive}.{PLAN}")
         objective = Objective(flat, [])
         self.flat, tables, self.place = objective.flat, objective.tables, objective.elements()
+        self.name, self.outputs = self.flat.name, self.flat.outputs
         self._theta, self._forced = objective.theta.copy(), objective.forced
         planned = objective.slices()[f"{drive}.{PLAN}"]
         self._columns = slice(int(planned[0]), int(planned[-1]) + 1)
