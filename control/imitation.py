@@ -68,15 +68,16 @@ def imitator(
     rng, count = np.random.default_rng(seed), len(features)
     spread = rng.normal(size=(hidden, count)) / np.sqrt(count)
     network.add("hidden", Layer({"seen": spread}, rng.normal(size=hidden), "tansig"), {"seen": "seen"})
-    for i, port in enumerate(drives):
+    for i, own in enumerate(drives):
         start = {"seen": np.zeros((1, count)), "hidden": 0.01 * rng.normal(size=(1, hidden))}
         bounds = [float(np.atleast_1d(v)[i if np.ndim(v) else 0]) for v in (limits.low, limits.high, limits.rate)]
-        _driven(network, port, bounds, start, "" if isinstance(drive, Port) else f"_{port.name}")
+        _driven(network, own, bounds, start, "" if isinstance(drive, Port) else f"_{own.name}")
     return network.check()
 
 
 def _driven(network: Network, drive: Port, bounds: Sequence[float], start: Mapping[str, np.ndarray], own: str) -> None:
     """Join what is wanted of a drive to it, through the limiters. own: the ending of the names that are its own."""
+
     def added(name: str, module: Layer | Network, **feeds: str) -> None:
         network.add(f"{name}{own}", module, feeds)
 
@@ -97,45 +98,66 @@ class Imitated:
     """The network as a controller, beside the network that replaces sensors. Each in float, emulator or hardware.
 
     ahead: samples by which port `ahead` leads. driven: the input of `sensor` that brings the last input of the plant.
-    tracked: outputs that do, where several names stand in `drive`: each has its own `ahead_NAME` and `last_NAME`.
     """
 
     network: Stepped
     sensor: Stepped | None
     ahead: int
     driven: str
-    drive: str | Sequence[str]
-    tracked: Sequence[str] = ()
+    drive: str
 
     def reset(self) -> None:
-        self.begun = False
         self.network.reset()
         if self.sensor:
             self.sensor.reset()
 
+    def awaited(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> list[dict[str, float]]:
+        """What it reads before its first sample."""
+        return []
+
     def inputs(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> dict[str, float]:
         """What the network reads at a sample."""
         seen = dict(measured)
-        if not isinstance(self.drive, str):
-            seen |= {f"{LAST}_{n}": float(v) for n, v in zip(self.drive, before, strict=True)}
-            ahead = reference[self.ahead]
-            return seen | {f"{AHEAD}_{n}": float(v) for n, v in zip(self.tracked, ahead, strict=True)}
         if self.sensor:
             seen |= self.sensor.step({**measured, self.driven: before} if self.driven else measured)
         return {**seen, LAST: before, AHEAD: float(reference[self.ahead])}
 
+    def __call__(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> Any:
+        return self.network.step(self.inputs(measured, before, reference))[self.drive]
+
+
+class ImitatedAll(Imitated):
+    """A network that gives all of several inputs: each has its own `last_NAME`, each output that tracks `ahead_NAME`.
+
+    Before its first sample it is told the reference up to where it sees ahead, so that it remembers it.
+    """
+
+    def __init__(self, network: Stepped, ahead: int, drives: Sequence[str], tracked: Sequence[str]):
+        super().__init__(network, None, ahead, "", "")
+        self.drives, self.tracked = drives, tracked
+
+    def reset(self) -> None:
+        super().reset()
+        self.begun = False
+
     def awaited(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> list[dict[str, float]]:
-        """What it reads before its first sample, so that it remembers the reference up to where it sees ahead."""
-        if self.begun or isinstance(self.drive, str):
+        if self.begun:
             return []
         self.begun = True
-        return [self.inputs(measured, before, np.tile(r, (self.ahead + 1, 1))) for r in reference[: self.ahead]]
+        return [self._row(measured, before, now) for now in reference[: self.ahead]]
+
+    def inputs(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> dict[str, float]:
+        return self._row(measured, before, reference[self.ahead])
+
+    def _row(self, measured: Mapping[str, float], before: np.ndarray, ahead: np.ndarray) -> dict[str, float]:
+        last = {f"{LAST}_{n}": float(v) for n, v in zip(self.drives, before, strict=True)}
+        return {**measured, **last, **{f"{AHEAD}_{n}": float(v) for n, v in zip(self.tracked, ahead, strict=True)}}
 
     def __call__(self, measured: Mapping[str, float], before: Any, reference: np.ndarray) -> Any:
         for row in self.awaited(measured, before, reference):
             self.network.step(row)
         answer = self.network.step(self.inputs(measured, before, reference))
-        return answer[self.drive] if isinstance(self.drive, str) else np.array([answer[n] for n in self.drive])
+        return np.array([answer[n] for n in self.drives])
 
 
 @dataclass

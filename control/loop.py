@@ -1,7 +1,7 @@
 """Closed loops: a controller on a rig, and what is asked of it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, Protocol
 
@@ -110,7 +110,9 @@ def run(
 
 
 def _violations(limits: Limits, given: np.ndarray, signals: Mapping[str, np.ndarray], start: Any) -> dict[str, int]:
-    rounding = np.maximum(limits.resolution, 1e-9 * (limits.high - limits.low))  # what the actuator rounds breaks no limit
+    rounding = np.maximum(
+        limits.resolution, 1e-9 * (limits.high - limits.low)
+    )  # what the actuator rounds breaks no limit
     found = {
         "input": (given < limits.low - rounding) | (given > limits.high + rounding),
         "rate": np.abs(np.diff(given, axis=0, prepend=np.array(start)[None])) > limits.rate + rounding,

@@ -24,8 +24,8 @@ AGREED = 1e-4  # of a state's size: fewer steps of integration than the plant's 
 
 
 class Model(Protocol):
-    """start: (n,), the state at rest. free: (n,), states that may depart from it. Inputs and signals are in their units,
-    in the order that it was made with."""
+    """start: (n,), the state at rest. free: (n,), states that may depart from it. Inputs and signals are in their
+    units, in the order that it was made with."""
 
     name: str
     start: np.ndarray

@@ -17,8 +17,9 @@ from greygate.progress import Progress, silent
 LOAD = 0.05  # of an input's range, RMS: of the load that the machine feels beside it
 LOADED = 4  # periods of the load's fastest part in a hundred samples
 SAGGED = 0.9  # of what they are told, inputs reach while the supply sags
-BLEND = 0.05  # of a reference, over which another one departs from where the machine rests
-SHRUNK = 0.6, 1.0  # sizes of other references, of the one that was asked for
+BLEND = 1.5  # times the reference's own greatest speed: the least time in which another one is come to
+SHOCK, SHOCKED, APART = 0.5, 5, 60  # of an input's range, samples, samples from one to the next
+SIZED = 0.7, 1.1  # sizes of other references, of the one that was asked for
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,9 @@ class Machine:
 
     truth: the machine itself, by the seed of its day; None: as declared. model: that predicts. drives: inputs that are
     controlled, each with its range as scale and its rest as initial. signals: what both tell, in their order: measured
-    ones first. noise: of each measured one, its standard deviation; sensed: what an observer takes it for. tracked: of
-    the measured ones. reference: (N, tracked). acting: other input -> (N,), what disturbs the machine.
+    ones first. noise: of each measured one, its standard deviation. tracked: of the measured ones. reference: (N,
+    tracked). acting: other input -> (N,), what disturbs the machine. shocked: whether inputs get short shocks, of
+    which a network learns to come back (Laskey et al. 2017).
     """
 
     name: str
@@ -38,11 +40,11 @@ class Machine:
     drives: Sequence[Port]
     signals: Sequence[Port]
     noise: Mapping[str, float]
-    sensed: Mapping[str, float]
     tracked: Sequence[str]
     limits: Limits
     reference: np.ndarray
     acting: Mapping[str, np.ndarray] = field(default_factory=dict)
+    shocked: bool = False
 
     @property
     def rest(self) -> np.ndarray:
@@ -76,15 +78,16 @@ class Machine:
 
 
 def varied(reference: np.ndarray, samples: int, seed: int) -> np.ndarray:
-    """Another reference of the same kind: the one given and its reversal, from a drawn sample on, drawn smaller about
+    """Another reference of the same kind: the one given and its reversal, from a drawn sample on, of a drawn size about
     where it begins, from where the machine rests."""
     rng = np.random.default_rng(seed)
     there_and_back = np.concatenate([reference, reference[::-1]])
     begun = np.roll(there_and_back, -int(rng.integers(len(there_and_back))), axis=0)
-    begun = np.resize(begun, (samples, reference.shape[1]))
-    ramp = np.clip(np.arange(samples) / max(BLEND * samples, 1.0), 0.0, 1.0)[:, None]
-    smooth = ramp**2 * (3 - 2 * ramp)
-    return reference[0] + smooth * rng.uniform(*SHRUNK) * (begun - reference[0])
+    begun = np.resize(begun, (samples, reference.shape[1])) - reference[0]
+    speed = np.abs(np.diff(reference, axis=0)).max(axis=0)
+    longest = BLEND * float(np.max(np.ptp(reference, axis=0) / np.where(speed > 0, speed, np.inf)))
+    ramp = np.clip(np.arange(samples) / max(min(longest, samples / 2), 1.0), 0.0, 1.0)[:, None]
+    return reference[0] + ramp**2 * (3 - 2 * ramp) * rng.uniform(*SIZED) * begun
 
 
 class UnderWay:
@@ -104,6 +107,10 @@ class UnderWay:
                 size, whole = LOAD * 2 * abs(port.scale), max(samples, 100)
                 noise = band_limited_noise(whole, size, 0.0, LOADED / 100, 1.0, seed + i)[:samples]
                 self._load[:, i] = noise * np.clip(np.arange(samples) / 20, 0, 1)
+        if machine.shocked:
+            most = SHOCK * 2 * np.abs([p.scale for p in machine.drives])
+            for at in range(int(rng.integers(APART)), samples, APART):
+                self._load[at : at + SHOCKED] += rng.uniform(-most, most)
         sensed = np.array([*machine.noise.values()])
         self._noise = rng.normal(size=(samples, len(sensed))) * sensed
         self._sample, self._state = 0, self.model.start

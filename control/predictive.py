@@ -46,9 +46,7 @@ class Limits:
 
     def kept(self, wanted: Any, before: Any) -> Any:
         """What the actuator makes of the input, or of the inputs (inputs,), those before being known."""
-        kept = np.clip(
-            wanted, np.maximum(self.low, before - self.rate), np.minimum(self.high, before + self.rate)
-        )
+        kept = np.clip(wanted, np.maximum(self.low, before - self.rate), np.minimum(self.high, before + self.rate))
         return kept if np.ndim(kept) else float(kept)
 
 
@@ -66,8 +64,8 @@ class Predicting(Protocol):
     """What outputs will be for a plan of the inputs. basis: (steps, knots). A plan is (inputs * knots,), normalised."""
 
     name: str
-    drives: Sequence[Port]
-    outputs: Sequence[Port]
+    drives: list[Port]
+    outputs: list[Port]
     basis: np.ndarray
 
     def start(self, state: Any) -> None:
@@ -129,7 +127,9 @@ class Predictive:
         finite = np.where(np.isfinite(rate), rate, self._high - self._low)
         change = self._difference / (finite * np.sqrt(np.tile(gaps, len(drives))))[:, None]
         self._smooth = self.aims[0].smooth * change.T @ change
-        self._pulled = (self.aims[0].smooth * change / (finite * np.sqrt(np.tile(gaps, len(drives))))[:, None])[self._first]
+        self._pulled = (self.aims[0].smooth * change / (finite * np.sqrt(np.tile(gaps, len(drives))))[:, None])[
+            self._first
+        ]
         self._size = knots + len(self._bounded)
         self._solver: Any = None
         self._osqp = osqp
@@ -146,7 +146,9 @@ class Predictive:
             self.plan = np.repeat(self.before, p.basis.shape[1])
             outputs = p.run(self.plan)
         columns = np.reshape(reference, (len(reference), -1)).T
-        self._solve(outputs, p.derivatives(), [q.normalised(r) for (_, q), r in zip(self._tracked, columns, strict=True)])
+        self._solve(
+            outputs, p.derivatives(), [q.normalised(r) for (_, q), r in zip(self._tracked, columns, strict=True)]
+        )
         now = [float(p.basis[0] @ part) for part in np.split(self.plan, len(p.drives))]
         wanted = [v * q.scale + q.offset for q, v in zip(p.drives, now, strict=True)]
         self.plan = self._moved_on @ self.plan
@@ -154,18 +156,20 @@ class Predictive:
 
     def applied(self, value: Any) -> None:
         """Tell what the actuators made of the inputs [their units]."""
-        self.before = np.array([p.normalised(v) for p, v in zip(self.prediction.drives, np.atleast_1d(value), strict=True)])
+        self.before = np.array(
+            [p.normalised(v) for p, v in zip(self.prediction.drives, np.atleast_1d(value), strict=True)]
+        )
 
     def _solve(self, outputs: np.ndarray, slopes: np.ndarray, references: Sequence[np.ndarray]) -> None:
         knots, violations = len(self.plan), len(self._bounded)
         hessian, gradient = np.zeros((self._size, self._size)), np.zeros(self._size)
-        for (column, _), step, reference in zip(self._tracked, self._steps, references, strict=True):
-            j, error, weight = slopes[:, column], outputs[:, column] - reference, 1.0 / step**2
+        for (column, _), one, reference in zip(self._tracked, self._steps, references, strict=True):
+            j, error, weight = slopes[:, column], outputs[:, column] - reference, 1.0 / one**2
             hessian[:knots, :knots] += weight * j.T @ j
             gradient[:knots] += weight * j.T @ error
             for i, (limited, _) in enumerate(self._bounded, knots):
                 ratio = np.abs(j).max() / max(np.abs(slopes[:, limited]).max(), TINY)
-                gradient[i] += EXACT * weight * ratio * (np.abs(error).sum() + step)
+                gradient[i] += EXACT * weight * ratio * (np.abs(error).sum() + one)
                 hessian[i, i] += SOFT * weight * ratio**2
         hessian[:knots, :knots] += self._smooth
         gradient[:knots] += self._smooth @ self.plan
@@ -176,9 +180,9 @@ class Predictive:
         low.append(-self._most - change)
         high.append(self._most - change)
         matrix = [np.hstack([np.vstack(rows), np.zeros((2 * knots, violations))])]
-        for i, (column, port) in enumerate(self._bounded):
+        for i, (limited, port) in enumerate(self._bounded):
             bounds = sorted(port.normalised(v) for v in self.limits.outputs[port.name])
-            now, slope = outputs[self._rows, column], slopes[self._rows, column]
+            now, slope = outputs[self._rows, limited], slopes[self._rows, limited]
             slack = np.zeros((len(now), violations))
             slack[:, i] = 1.0
             matrix += [np.hstack([slope, slack]), np.hstack([slope, -slack])]

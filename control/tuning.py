@@ -1,6 +1,8 @@
 """PI and predictive control of any machine, tuned on references and days of their own."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -8,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from greygate.control.choices import Case
 from greygate.control.loop import Run
-from greygate.control.modelled import Rolled, derivatives, disturbances
+from greygate.control.modelled import Rolled, disturbances
 from greygate.control.observer import Kalman
 from greygate.control.own import Machine
 from greygate.control.pi import Loops, Proportional, tuned
@@ -25,6 +27,7 @@ STATES = (1e-6, 1e-4, 1e-2)  # of a state's size: by how much it departs from th
 LOADS = (1e-4, 1e-3, 1e-2, 0.1)  # of an input's range: by how much a load changes in a sample
 HORIZONS, SMOOTHS = (12, 25, 50), (1e-4, 1e-2, 1.0, 100.0)
 KNOTS = 7
+SENSED = 1e-4  # of a signal's size, RMS: no sensor is taken for a better one
 TOLERANCE = 1e-2  # of a tracked output's size: the error that counts as one
 
 
@@ -53,11 +56,14 @@ def proportional(machine: Machine, progress: Progress = silent) -> Loops:
         reset, forward = 0.1 / (EARLY * machine.period), 0.01 * gain * EARLY * machine.period
         return Proportional(machine.tracked[row], _one(machine.limits, column), machine.period, gain, reset, forward)
 
+    shocked = replace(machine, shocked=True)  # where gains that are too high are shown
+
     def track(loops: list[Proportional]) -> float:
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 controller = Loops(loops, [c for _, c in pairs], machine.rest)
-                return machine.cost(machine.run(controller, Case.LOAD, TUNING, SAMPLES))
+                days = [day.run(controller, Case.LOAD, TUNING, SAMPLES) for day in (machine, shocked)]
+                return float(np.linalg.norm([*map(machine.cost, days)]))
         except InputError:  # the machine left the range of numbers
             return np.inf
 
@@ -66,12 +72,18 @@ def proportional(machine: Machine, progress: Progress = silent) -> Loops:
     for _ in range(ROUNDS if len(pairs) > 1 else 1):
         for i in range(len(pairs)):
             progress(f"tuning PI of {best[i].output}")
-            best[i] = tuned(best[i], lambda p, i=i: track([*best[:i], p, *best[i + 1 :]]), True, EVALUATIONS)
+            best[i] = tuned(best[i], partial(_with, track, best, i), True, EVALUATIONS)
     return Loops(best, [c for _, c in pairs], machine.rest)
 
 
+def _with(track: Callable[[list], float], loops: list, i: int, loop: Proportional) -> float:
+    return track([*loops[:i], loop, *loops[i + 1 :]])
+
+
 def _one(limits: Limits, column: int) -> Limits:
-    low, high, rate = (float(np.broadcast_to(v, np.shape(limits.low))[column]) for v in (limits.low, limits.high, limits.rate))
+    low, high, rate = (
+        float(np.broadcast_to(v, np.shape(limits.low))[column]) for v in (limits.low, limits.high, limits.rate)
+    )
     return Limits(low, high, rate)
 
 
@@ -114,7 +126,7 @@ class Observers:
         ranges, middle = np.array([2 * abs(p.scale) for p in machine.drives]), len(states) // 2
         held, seen = inputs[min(middle, len(inputs) - 1)], {i: own[i] for i in order}
         self.model = disturbances(machine.model, states[middle], held, sizes, ranges, seen)
-        self._noise = {i: machine.sensed[n] for i, n in enumerate(names)}
+        self._noise = {i: max(machine.noise[n], SENSED * own[i]) for i, n in enumerate(names)}
         told = [ranges[i] for i in self.model.on_inputs] + [own[i] for i in self.model.on_signals]
         self._sizes, self._inner = np.append(sizes, told), len(sizes)
 

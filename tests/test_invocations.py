@@ -91,6 +91,7 @@ TEXTS = {
     "old": NO_BUILD, "new": NO_BUILD, "budget": NO_TOML,
     "test": NAMED, "sensor": ["nobody", ""], "target": ["nobody", ""], "machine": ["nobody", "a.csv", ""],
     "fmu": ["none", "folder", "a.csv", "build", ""], "parameter": ["nobody", ""],
+    "track": NO_TABLE, "limits": RANGES, "rate": ["", "u", "u=", "u=0"], "noise": ["", "x", "x=-1", "x=nan"],
     "unit": ["", "u", "u=", "=V", "u=foo", "nobody=V"], "time": ["nobody", ""],
     "resample": ["", "x", "0", "-1", "nan", "inf", "1e9"],
     "block": ["none", "product", ""],
@@ -153,6 +154,8 @@ OTHERS = [
     ["identify", *GOOD["identify"], "--test", "rig/identify.csv"], ["identify", *GOOD["identify"][:-1], "folder"],
     ["identify", "rig/identify.csv", "--output", "x_load", "--out", "new"],
     ["control", "belt_drive", "--controller", "pi", "--place", "rtl"], ["control", "crane"],
+    ["control", "rig", "--limits", "u_d=0:1"], ["control", "rig", "--track", "a.csv", "--limits", "u_d=0:1"],
+    ["control", "line.toml", "--track", "a.csv"],
 ]  # fmt: skip
 
 

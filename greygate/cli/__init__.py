@@ -13,7 +13,19 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import bench, boards, builds, compiling, exports, networks, recordings, rigs, tools, whole
+from greygate.cli import (
+    bench,
+    boards,
+    builds,
+    compiling,
+    controlling,
+    exports,
+    networks,
+    recordings,
+    rigs,
+    tools,
+    whole,
+)
 from greygate.cli.grammar import Commands
 from greygate.cli.terminal import say
 from greygate.errors import InputError
@@ -26,7 +38,7 @@ DEVELOPERS = "Developers"
 COMMANDS = {  # heading -> commands; those for developers are a group
     "The whole way": (whole.make,),
     "Data": (recordings.look, recordings.init, recordings.init_rig),
-    "Networks": (networks.identify, networks.train, networks.build_snn, networks.validate, networks.control),
+    "Networks": (networks.identify, networks.train, networks.build_snn, networks.validate, controlling.control),
     "Hardware": (
         *(compiling.compile, compiling.explore, builds.emulate, builds.verify, builds.prove, builds.synthesize),
         *(builds.report, builds.compare, boards.board, boards.play),
