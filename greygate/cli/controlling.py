@@ -50,10 +50,10 @@ def control(
 ) -> None:
     """Control a simulated machine in closed loop.
 
-    A tuned PI, predictive control, or the network that imitates it. The network is computed in float, by the emulator or by simulated hardware. Of a machine of your own every
-    controller up to that one is printed, undisturbed, under a load and under a sagging supply. Of the catalogue's,
-    seeds below 1000 are trajectories and days that it learnt on. Exit code 1 if the hardware differs from the emulator
-    in any bit.
+    A tuned PI, predictive control, or the network that imitates it, computed in float, by the emulator or by simulated
+    hardware. Of a machine of your own every controller up to that one is printed, undisturbed, under a load and under a
+    sagging supply. Of the catalogue's, seeds below 1000 are trajectories and days that it learnt on. Exit code 1 if the
+    hardware differs from the emulator in any bit.
     """
     from greygate.machines.asked import is_machine
 
