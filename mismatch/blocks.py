@@ -70,7 +70,7 @@ class Judge:
         again = model.window != model.rig.window
         self.model = modelled(model.rig, model.recording, model.effects) if again else model
         runs = self.model.pieces
-        self.several = len(runs) > 1
+        self.several = len({run.name for run in self.model.recording.runs}) > 1
         if self.several:
             self.fold = np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
         else:
@@ -131,12 +131,12 @@ class Judge:
     def _lost(self, before: np.ndarray, after: np.ndarray, block: np.ndarray) -> list[Loss]:
         rig, held = self.model.rig, np.flatnonzero(block)
         runs = np.split(held, np.flatnonzero(np.diff(held) > 1) + 1)
-        name, first = "", 0
+        name, time = "", self.model.recording.time
         if self.several:
             k = int(self.fold[held[0]])
-            name, first = self.model.recording.runs[k].name, self.model.pieces[k].start
+            name = self.model.recording.runs[k].name
             runs = [] if np.array_equal(block, self.fold == k) else runs
-        spans = tuple((float((run[0] - first) * rig.dt), float((run[-1] + 1 - first) * rig.dt)) for run in runs)
+        spans = tuple((float(time[run[0]]), float(time[run[-1]] + rig.dt)) for run in runs)
         out = []
         for i, channel in enumerate(rig.predict):
             was, now = (float(np.sqrt(np.mean(e[:, i] ** 2))) for e in (before, after))

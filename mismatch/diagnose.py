@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +42,9 @@ from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.ruled_out import ruled_out
 from greygate.mismatch.search import WITHIN, Hypothesis, Search
-from greygate.mismatch.selection import PART, Found, Selection, shown_noise
+from greygate.mismatch.selection import PART, STRUCTURE, Found, Selection, shown_noise
 from greygate.mismatch.several import by_rule, modelled
+from greygate.mismatch.stretches import stretches
 from greygate.mismatch.verdict import Verdict
 from greygate.mismatch.words import lines
 from greygate.plants.plant import Plant
@@ -56,6 +58,7 @@ NOISES = 3  # noises under which a recording is explained, at most: each is what
 OPEN_VERDICTS = Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED
 LEAST_SURE = 0.5  # of confidence in a name, below which something else is likelier
 LED_BACK = 4  # iterations: each leads a numbers' prior all the way where the run is linear
+MORE_OF_IT = 3  # times as much of a recording as before is searched, where what was searched hides something
 GRACE = 0.2  # of the time that there was: so much longer the gates may take that a claim passes
 AFTER = "what follows the search"  # in words, where there is no time for it
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
@@ -106,7 +109,9 @@ def diagnose(
     progress("compiling the plant")
     search = Search(rig, recording, effects)
     search.budget = budget
-    search.effects, not_shown = excited(search.final.model, search.effects)
+    if some := stretches(search):
+        search.part = search.over(some)
+    search.effects, not_shown = excited(search.part.final.model, search.effects)
     offered = {effect.id for effect in search.effects.values()}
     not_shown |= {name: why for name, why in table.unmet(rig, recording).items() if name not in offered}
     progress("calibrating")
@@ -116,7 +121,7 @@ def diagnose(
         result.verdict = Verdict.RECORDING_FAULT
     if result.verdict == Verdict.CONSISTENT and not search.left_out("how large what is not there may be"):
         progress("bounding what is not there")
-        result.not_larger_than = ruled_out(search, result.corrected, not_shown)
+        result.not_larger_than = ruled_out(search.part, search.in_part(result.corrected), not_shown)
     progress("predicting the recordings")
     result.fits = fits(result, recording)
     if diverging := [c for c, rms in result.fits["identify"].items() if _diverges(rms["corrected"], recording[c])]:
@@ -247,12 +252,27 @@ def _diagnosis(state: State) -> Diagnosis:
 
 
 def _searched(search: Search, progress: Progress) -> tuple[Selection, Found]:
-    """What the recording supports."""
-    selection = selected(search, progress)
-    if not search.checked:
-        check(search, selection.start)
-        search.checked = True
-    return selection, selection.searched()
+    """What the recording supports; of its stretches so many that they leave nothing hidden which all of it shows."""
+    for times in count(1):
+        part = search.part
+        part.take(search)
+        selection = selected(part, progress)
+        if not search.checked:
+            check(part, selection.start)
+            search.checked = True
+        found = selection.searched()
+        if part is search:
+            break
+        search.take(part)
+        progress("fitting to the whole recording")
+        whole = replace(found, fit=search.fit(search.final, found.best, found.fit.values))
+        hidden = not selection.open(found) and max(selection.structure(whole.fit).values(), default=0.0) > STRUCTURE
+        if not hidden or search.left_out("more of the recording"):
+            return selection, whole
+        progress("searching in more of the recording")
+        some = stretches(search, MORE_OF_IT**times)
+        search.part = search.over(some) if some else search
+    return selection, found
 
 
 def _untested(search: Search, selection: Selection, progress: Progress) -> State:
@@ -270,7 +290,8 @@ def _untested(search: Search, selection: Selection, progress: Progress) -> State
 def _supported(search: Search, selection: Selection, found: Found, progress: Progress) -> State:
     """What the gates leave of what the recording supports."""
     claimed = selection.claimable(found)
-    claims = earned(search, selection.plain, claimed.best, claimed.fit, selection.refit, progress)
+    plain, fit = search.in_whole(selection.plain), search.in_whole(claimed.fit)
+    claims = earned(search, plain, claimed.best, fit, selection.refit, progress)
     if claimed is not found:
         share = found.of.explained(found, selection.plain)
         claims.refused.append(f"{_named(search, found.best)} is not claimed: it takes {share:.0%} of what is missing")
@@ -396,7 +417,9 @@ def _regained(state: State) -> State:
             continue
         more = best.plus(Hypothesis((key,)))
         fit = state.selection.refit(more, state.claims.fit)
-        claims = earned(search, state.selection.plain, more, fit, state.selection.refit, state.progress)
+        claims = earned(
+            search, search.in_whole(state.selection.plain), more, fit, state.selection.refit, state.progress
+        )
         if claims.best != more:
             continue
         kept = [why for why in state.claims.refused if not why.startswith(f"{named(search, key)} is not claimed")]
@@ -442,8 +465,8 @@ def _closed(state: State) -> State:
         return state
     search, found, claims = state.search, state.found, state.claims
     state.progress("looking for the equation")
-    unknown, closed = closure(search, state.selection.calibrated)
-    refused = _no_term(claims, unknown, closed)
+    unknown, closed = closure(search.part, state.selection.calibrated)
+    refused = _no_term(search.in_part(claims.calibrated), unknown, closed)
     share = 0.0 if refused else _taken(unknown)
     if state.verdict != Verdict.UNEXPLAINED and not state.selection.outdone(found.best, state.explained, share):
         return replace(state, unknown={"where": left_beside(search, found.best, found.fit.values)})
@@ -494,15 +517,15 @@ def _taken(unknown: dict) -> float:
     return (unknown.get("effect") or {}).get("confidence", 1.0) if unknown["where"] else 0.0
 
 
-def _no_term(claims: Claims, unknown: dict, closed: Fit | None) -> str:
+def _no_term(calibrated: Fit, unknown: dict, closed: Fit | None) -> str:
     """Why the term that `closure` found (with `closed`, the fit with it) is none; empty where it is one, or none is."""
     if closed is None:
         return ""
     if _taken(unknown) < CLOSED:
         return f"it takes {_taken(unknown):.0%} of the misfit"
     judge, halves = Judge(closed.likelihood), Judge(closed.likelihood, halves=True)
-    losses = judge.losses(claims.calibrated, closed) or judge.throughout(claims.calibrated, closed)
-    losses = losses or halves.losses(claims.calibrated, closed)
+    losses = judge.losses(calibrated, closed) or judge.throughout(calibrated, closed)
+    losses = losses or halves.losses(calibrated, closed)
     return f"with it {losses[0]}" if losses else ""
 
 

@@ -135,6 +135,11 @@ class Model:
         return self.plant.early * self._compiled.step
 
     @property
+    def steps(self) -> int:
+        """Steps of the plant in a sample."""
+        return self._compiled.substeps * self._parts
+
+    @property
     def longer_steps(self) -> list[int]:
         """How many steps an unchanging input may be integrated in, fewer than now, in rising order."""
         if self.plant.outside and self.plant.outside.fixed:

@@ -4,7 +4,7 @@ They stand one after the other. Whatever looks along time (a rate, a filter, a c
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -39,7 +39,7 @@ class Runs(Recording):
 def with_channels(recording: Recording, channels: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Recording:
     """The same recordings with these channels (samples,) in the place of theirs."""
     parts = [
-        Recording(run.dt, {name: c[piece] for name, c in channels.items()}, units, run.source)
+        replace(run, channels={name: c[piece] for name, c in channels.items()}, units=units)
         for run, piece in zip(recording.runs, pieces(recording), strict=True)
     ]
     return Runs.of(parts) if isinstance(recording, Runs) else parts[0]

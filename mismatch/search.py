@@ -4,8 +4,9 @@ A hypothesis is a set of effects and, at most, one parameter whose tolerance is 
 ranks the hypotheses, for there even a wrong model stays near the recording. The final fit is over longer windows.
 """
 
+import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import TypedDict
 
@@ -22,6 +23,7 @@ from greygate.mismatch.rig import FEWEST, IN, Rig
 from greygate.mismatch.scales import memory, span
 from greygate.mismatch.several import modelled
 from greygate.plants.expressions import names
+from greygate.plants.outside import Local
 from greygate.plants.recording import Recording
 from greygate.progress import Budget, cut
 
@@ -115,18 +117,8 @@ class Search:
         self.sheet = rig.uncertain()
         self.toleranced = list(self.sheet)
 
-        memories = [memory(run[name]) for run in recording.runs for name in rig.predict]
-
-        def over(most: int, samples: int, shares: tuple[float, float]) -> Likelihood:
-            window = min(span(samples, memories, shares, FEWEST), most)
-            return Likelihood(modelled(rig, recording, self.effects, window))
-
-        if rig.window:
-            self.final = over(rig.window, LONG_WINDOW, LONG_SHARES)
-            self.screen = over(rig.window, SHORT, SHORT_SHARES)
-        else:
-            free_run = Likelihood if rig.stated else Coloured
-            self.final = self.screen = free_run(modelled(rig, recording, self.effects))
+        self.part = self  # where hypotheses are compared: stretches of the recording, where all of it is too dear
+        self.final, self.screen = self._likelihoods(recording)
         self.within = WITHIN
         self.starts = {key: found for model in self.final.model.each for key, found in model.unsure.items()}
         self.kept = {*self.toleranced, TIMING, EARLY, BLUR, *self.starts}  # what a fit takes from the one before
@@ -137,9 +129,46 @@ class Search:
         if noise is not None:
             self.under(noise)
 
+    def _likelihoods(self, recording: Recording) -> tuple[Likelihood, Likelihood]:
+        """Over longer windows and over shorter ones; of a free run, which is one window, both are the same."""
+        rig = self.rig
+        if not rig.window:
+            free_run = (Likelihood if rig.stated else Coloured)(modelled(rig, recording, self.effects))
+            return free_run, free_run
+        if isinstance(rig.plant.outside, Local):
+            rig = replace(rig, plant=replace(rig.plant, outside=rig.plant.outside.near(recording.channels)))
+        memories = [memory(run[name]) for run in recording.runs for name in rig.predict]
+
+        def over(samples: int, shares: tuple[float, float]) -> Likelihood:
+            window = min(span(samples, memories, shares, FEWEST), rig.window)
+            return Likelihood(modelled(rig, recording, self.effects, window))
+
+        return over(LONG_WINDOW, LONG_SHARES), over(SHORT, SHORT_SHARES)
+
     @property
     def noise(self) -> Noise:
         return self.final.noise
+
+    def over(self, recording: Recording) -> "Search":
+        """The same search in another recording, whose likelihoods are its own."""
+        other = copy.copy(self)
+        other.part = other
+        other.final, other.screen = self._likelihoods(recording)
+        return other
+
+    def take(self, other: "Search") -> None:
+        """What another search has learnt, or was given."""
+        self.under(other.noise)
+        self.effects, self.within, self.between = other.effects, other.within, other.between
+
+    def in_part(self, fit: Fit) -> Fit:
+        """A fit to the whole recording, as it is in the part that is searched."""
+        part = self.part.final
+        return fit if _over(fit, part) else part.fit(fit.unknowns, fit.values, iterations=0)
+
+    def in_whole(self, fit: Fit) -> Fit:
+        """A fit to the part that is searched, fitted to the whole recording."""
+        return fit if _over(fit, self.final) else self.final.fit(fit.unknowns, fit.values)
 
     def under(self, noise: Noise) -> "Search":
         """This search with another noise; fits of the one before are no longer comparable."""
@@ -452,6 +481,11 @@ class Search:
             options = {"enough": ROUGH, "slack": SLACK, **options}
         options = {"slack": LAST_SLACK, **options}
         return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
+
+
+def _over(fit: Fit, likelihood: Likelihood) -> bool:
+    """Whether a fit is over the recording of a likelihood."""
+    return fit.likelihood.model.recording is likelihood.model.recording
 
 
 def _shaped(effect: Effect) -> list[tuple[str, str]]:

@@ -178,7 +178,8 @@ class Selection:
 
     def promises(self, found: Found) -> bool:
         """Whether a further effect or parameter promises a gain that is evidence."""
-        return promised(self.search.scores(found.fit.likelihood, found.fit, found.best), found.fit) > 1.0
+        fit = self.search.in_part(found.fit)
+        return promised(self.search.scores(fit.likelihood, fit, found.best), fit) > 1.0
 
     def outdone(self, best: Hypothesis, explained: float, share: float) -> bool:
         """Whether a term that takes such a `share` does as well as what is named, or nearly as several names do.

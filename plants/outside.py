@@ -13,6 +13,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+
 from greygate.plants.expressions import is_symbol
 
 
@@ -77,6 +79,15 @@ class Rated(Outside, Protocol):
 
     @property
     def rates(self) -> str: ...
+
+
+@runtime_checkable
+class Local(Outside, Protocol):
+    """One that can leave out what does nothing near some states, and so take less time."""
+
+    def near(self, recorded: Mapping[str, np.ndarray]) -> "Outside":
+        """The same for runs that stay near recorded signals (samples,), by name."""
+        ...
 
 
 def symbols(names: Sequence[str], kind: str, taken: Collection[str] = ()) -> list[str]:

@@ -379,7 +379,7 @@ def test_a_term_that_makes_a_channel_worse_is_not_applied(steady, monkeypatch):
     lost = [Loss("x_load", "m", (), 1.0, 1.02)]
     monkeypatch.setattr(Judge, "throughout", lambda *given: lost)
     found = closed(0.5)(search)
-    unknown, fit = finding._unknown(search, kept, *found, finding._no_term(kept, *found))
+    unknown, fit = finding._unknown(search, kept, *found, finding._no_term(kept.calibrated, *found))
     assert (unknown["effect"], fit.values) == (None, plain.values)
     assert kept.refused == ["no term is fitted: with it x_load is 2 % worse, not learnt from"]
 
@@ -515,7 +515,7 @@ def test_a_term_that_takes_little_is_not_applied(share, applied, steady):
     sheet = search.final.fit(plain.unknowns, iterations=0)  # as where a calibration was no better than the data sheet
     kept = claims.Claims(Hypothesis(), sheet, sheet)
     found = closed(share)(search)
-    unknown, fit = finding._unknown(search, kept, *found, finding._no_term(kept, *found))
+    unknown, fit = finding._unknown(search, kept, *found, finding._no_term(kept.calibrated, *found))
     assert (fit.values == sheet.values) is not applied  # what is refused leaves the run as it was, to the last bit
     assert bool(unknown["effect"]) == applied
     assert unknown["where"][0]["equation"] == "transmission"
