@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from greygate import diagnose
 from greygate.errors import InputError
 from greygate.mismatch.diagnosis import READ
 from greygate.mismatch.entries import fitting
 from greygate.mismatch.general import general
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
+from greygate.mismatch.verdict import Verdict
 from greygate.plants import kinds, mjcf
 from greygate.plants.plant import Plant
 from greygate.plants.simulator import simulate
@@ -163,9 +165,9 @@ channels.el_bow = {{ unit = "rad", role = "output", noise_rms = 1e-4 }}
 """
 
 
-def record(folder, path, tolerance="mass_lower"):
+def record(folder, path, tolerance="mass_lower", act=lambda data: None):
     given = inputs(["m1", "m2"])
-    columns = [np.arange(SAMPLES) * DT, *given.values(), *stepped(path, given).T]
+    columns = [np.arange(SAMPLES) * DT, *given.values(), *stepped(path, given, act).T]
     header = "t,m1,m2,shoulder,el_bow"
     np.savetxt(folder / "identify.csv", np.stack(columns, axis=1), "%.17g", ",", header=header, comments="")
     (folder / "rig.toml").write_text(RIG.format(tolerance=tolerance))
@@ -527,3 +529,38 @@ def test_a_plants_file_adds_to_a_model_what_that_has_not(tmp_path):
         kinds.read(tmp_path / "servo.toml", ["goal"])
     with pytest.raises(InputError, match="only the plant of a rig may be one"):
         Plant.read(tmp_path / "servo.toml")
+
+
+OFFERED = ("dry_friction_shoulder", "dry_friction_el_bow", "viscous_friction_el_bow")
+
+
+@pytest.fixture
+def dear(tmp_path, monkeypatch):
+    """A function that explains, in stretches of 60 of 600 samples, what another arm did, by three effects."""
+    monkeypatch.setattr("greygate.mismatch.stretches.DEAR", 1)
+
+    def explain(act=lambda data: None, **other):
+        write(tmp_path, loss=0.0)
+        rig = record(tmp_path, write(tmp_path, "other.xml", **other), "damping_shoulder", act)
+        rig = replace(rig, window=20)
+        return diagnose(rig, effects={k: e for k, e in general(rig, rig.to_explain()).items() if k in OFFERED})
+
+    return explain
+
+
+def test_what_is_found_in_stretches_of_a_recording_is_fitted_to_all_of_it(dear):
+    found = dear(loss=0.02)
+    assert found.search.part.final.model.recording.samples == 240
+    assert found.corrected.likelihood.model.recording.samples == SAMPLES
+    assert [e["id"] for e in found.as_dict()["effects"]] == ["dry_friction_shoulder"]
+    assert abs(found.corrected.values["frictionloss_shoulder"] - 0.02) < 1e-3
+
+
+def test_what_acts_between_the_stretches_alone_is_not_overlooked(dear):
+    def pushed(data):
+        data.qfrc_applied[0] = 0.05 if 1.25 < data.time < 1.75 else 0.0
+
+    assert dear(loss=0.0).verdict == Verdict.CONSISTENT
+    found = dear(pushed, loss=0.0)
+    assert found.search.part is found.search  # all of the recording was searched in the end
+    assert found.verdict != Verdict.CONSISTENT
