@@ -187,6 +187,12 @@ def calibrated_to_the_run(search: Search, judge: Judge, fit: Fit) -> Fit:
     return fit.likelihood.fit(fit.unknowns, again.values, iterations=0)
 
 
+def no_worse(judge: Judge, calibrated: Fit) -> Fit:
+    """The calibrated plant, or its data sheet where that errs less on blocks not learnt from."""
+    worse = judge.total(calibrated) > (1.0 + MORE) ** 2
+    return calibrated.likelihood.fit(calibrated.unknowns, iterations=0) if worse else calibrated
+
+
 def held_to_tolerance(search: Search, claims: Claims) -> Claims:
     """`claims` beside something unexplained, which draws parameters: none is taken beyond its tolerance any more.
 
@@ -194,8 +200,9 @@ def held_to_tolerance(search: Search, claims: Claims) -> Claims:
     """
     search.within = TOLERANCE
     plain, less = Hypothesis(), Hypothesis(claims.best.effects)
+    judge = Judge(claims.fit.likelihood)
     calibrated = search.fit(claims.calibrated.likelihood, plain, claims.calibrated.values)
-    calibrated = calibrated_to_the_run(search, Judge(claims.fit.likelihood), calibrated)
+    calibrated = no_worse(judge, calibrated_to_the_run(search, judge, calibrated))
     fit = search.fit(claims.fit.likelihood, less, claims.fit.values) if less.size else calibrated
     return replace(claims, best=less, fit=fit, calibrated=calibrated)
 

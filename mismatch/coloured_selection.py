@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from greygate.mismatch.adequacy import dependent
+from greygate.mismatch.blocks import Judge
 from greygate.mismatch.claims import Claims
 from greygate.mismatch.coloured import Coloured, coloured_likelihood, remaining, resized
 from greygate.mismatch.evidence import unseen
@@ -30,6 +31,7 @@ EXCHANGED = 3  # hypotheses that are tried in the place of an earlier one
 SURE = 10.0  # of cost that an effect must save beyond what its parameters and the number of hypotheses cost
 FOLDS = 5  # of the recording, held out in turn
 BLOCKS = 4  # of a fold
+FAR_LESS = 0.5  # of the squared error that names leave: a term that leaves no more of it stands in their place
 
 
 class ColouredSelection(Selection):
@@ -96,8 +98,11 @@ class ColouredSelection(Selection):
     def promises(self, found: Found) -> bool:
         return False
 
-    def outdone(self, best: Hypothesis, explained: float, share: float) -> bool:
-        return False
+    def outdone(self, best: Hypothesis, explained: float, share: float, named: Fit, closed: Fit | None) -> bool:
+        """Whether a term leaves far less of the squared error than what is named, on blocks not learnt from."""
+        if closed is None or share <= 0.0:
+            return False
+        return Judge(closed.likelihood).total(closed) <= FAR_LESS * Judge(named.likelihood).total(named)
 
     def explained(self, found: Found, calibrated: Fit) -> float:
         """The share of the squared error in free run that is removed, in the mean over channels."""

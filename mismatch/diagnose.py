@@ -37,7 +37,7 @@ from greygate.mismatch.excitation import excited
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.given import rig_of, tried
 from greygate.mismatch.misread import check
-from greygate.mismatch.model import Model
+from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.ruled_out import ruled_out
@@ -277,7 +277,7 @@ def _searched(search: Search, progress: Progress) -> tuple[Selection, Found]:
 
 def _untested(search: Search, selection: Selection, progress: Progress) -> State:
     """Nothing is claimed, for there was no time to test it."""
-    plain = selection.plain
+    plain = _as_it_runs(search, selection.plain)
     found = Found(Hypothesis(), plain, plain, selection)
     tried = {h: fit for h, fit in selection.fits.items() if h.size}
     claims = Claims(Hypothesis(), plain, plain)
@@ -285,6 +285,15 @@ def _untested(search: Search, selection: Selection, progress: Progress) -> State
         best = min(tried, key=lambda h: tried[h].cost)
         claims.refused.append(f"{_named(search, best)} is not claimed: there was no time to test it")
     return State(search, selection, progress, found, claims)
+
+
+def _as_it_runs(search: Search, calibrated: Fit) -> Fit:
+    """The calibrated plant over all of the recording, or its data sheet where the run of that errs less."""
+    fit = search.final.fit(calibrated.unknowns, calibrated.values, iterations=0)
+    judge = Judge(fit.likelihood)
+    before, after = (np.mean(judge.errors(values) ** 2, axis=0) for values in ({}, fit.values))
+    better = np.mean(after / np.maximum(before, TINY)) <= 1.0
+    return fit if better else search.final.fit(calibrated.unknowns, iterations=0)
 
 
 def _supported(search: Search, selection: Selection, found: Found, progress: Progress) -> State:
@@ -416,7 +425,8 @@ def _regained(state: State) -> State:
         if not (state.open and best.effects) or key in best.effects or search.skips(Hypothesis((key,))):
             continue
         more = best.plus(Hypothesis((key,)))
-        fit = state.selection.refit(more, state.claims.fit)
+        had = next((fit.values for h, fit in state.selection.fits.items() if key in h.effects), {})
+        fit = search.fit(state.claims.fit.likelihood, more, {**had, **state.claims.fit.values})
         claims = earned(
             search, search.in_whole(state.selection.plain), more, fit, state.selection.refit, state.progress
         )
@@ -468,14 +478,16 @@ def _closed(state: State) -> State:
     unknown, closed = closure(search.part, state.selection.calibrated)
     refused = _no_term(search.in_part(claims.calibrated), unknown, closed)
     share = 0.0 if refused else _taken(unknown)
-    if state.verdict != Verdict.UNEXPLAINED and not state.selection.outdone(found.best, state.explained, share):
+    outdone = state.selection.outdone(found.best, state.explained, share, found.fit, closed)
+    if state.verdict != Verdict.UNEXPLAINED and not outdone:
         return replace(state, unknown={"where": left_beside(search, found.best, found.fit.values)})
-    if state.verdict == Verdict.UNEXPLAINED and found.best.size:
+    if found.best.size:
         nearest = f"it came nearest, and takes {max(state.explained, 0.0):.0%} of what is missing"
         claims.refused.append(f"{_named(search, found.best)} is not claimed: {nearest}")
     unknown, fit = _unknown(search, claims, unknown, closed, refused)
     unknown["where"] = unknown["where"] or left_beside(search, Hypothesis(), fit.values)
-    state = replace(state.unclaimed(), unknown=unknown, left=state.selection.left(fit) or state.left)
+    kept = state.left if state.verdict == Verdict.UNEXPLAINED else ""  # else it is what the names left
+    state = replace(state.unclaimed(), unknown=unknown, left=state.selection.left(fit) or kept)
     return replace(state, found=replace(state.found, fit=fit))
 
 

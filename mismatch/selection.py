@@ -181,10 +181,10 @@ class Selection:
         fit = self.search.in_part(found.fit)
         return promised(self.search.scores(fit.likelihood, fit, found.best), fit) > 1.0
 
-    def outdone(self, best: Hypothesis, explained: float, share: float) -> bool:
+    def outdone(self, best: Hypothesis, explained: float, share: float, named: Fit, closed: Fit | None) -> bool:
         """Whether a term that takes such a `share` does as well as what is named, or nearly as several names do.
 
-        Several names that leave something may be no more than such a term.
+        Several names that leave something may be no more than such a term. named, closed: their fits.
         """
         return 1.0 - share <= (ALMOST if best.size > 1 else 1.0) * (1.0 - explained)
 

@@ -10,6 +10,7 @@ import pytest
 from greygate import progress
 from greygate.cli.terminal import ended_early
 from greygate.errors import InputError
+from greygate.mismatch import coloured_selection
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.concealed.conceal import EVERY_RIG, conceal
 from greygate.mismatch.diagnose import diagnose
@@ -19,7 +20,7 @@ from greygate.mismatch.formula import Finder, Formula, Shape
 from greygate.mismatch.model import Model
 from greygate.mismatch.nearer import Near, settled
 from greygate.mismatch.runs import Runs
-from greygate.mismatch.search import Search
+from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.several import by_rule
 from greygate.mismatch.unnamed import _removed
 from greygate.mismatch.words import lines, where
@@ -405,3 +406,14 @@ def test_a_long_recording_is_looked_at_in_part_and_several_in_equal_parts(hidden
     assert first(recording, SAMPLES) is recording
     assert first(recording, 300).samples == 300
     assert [run.samples for run in first(several, 600).runs] == [300, 300]
+
+
+@pytest.mark.parametrize(("left", "share", "instead"), [(0.4, 0.9, True), (0.6, 0.9, False), (0.4, 0.0, False)])
+def test_without_a_told_noise_a_term_stands_in_the_place_of_names_that_leave_twice_as_much(
+    monkeypatch, left, share, instead
+):
+    totals = {"term": left, "names": 1.0}
+    monkeypatch.setattr(coloured_selection, "Judge", lambda of: SimpleNamespace(total=lambda fit: totals[of]))
+    named, closed = (SimpleNamespace(likelihood=of) for of in ("names", "term"))
+    outdone = coloured_selection.ColouredSelection.outdone
+    assert outdone(None, Hypothesis(("input_dead_zone",)), 0.87, share, named, closed) == instead

@@ -34,11 +34,14 @@ class Corrected:
 
 
 def rig_for(task: Task, recordings: Sequence[Recording], held: Sequence[Recording] = ()) -> Rig:
-    """The rig of what a network is to compute: it is driven by what the network reads. held: for the report alone.
+    """The rig of what a network is to compute, driven by what the network reads. held: for the report alone.
 
-    What a rig's file says of its channels holds here too, and so do the effects beside it.
+    Every output on record says what is missing. What a rig's file says of its channels holds here too, and so do the
+    effects beside it.
     """
-    channels = [n for n in (*task.inputs, *task.targets)]
+    kept, every = task.reduced.symbols, (*recordings, *held)
+    outputs = [n for n in task.plant.outputs if n in kept and all(n in r.channels for r in every)]
+    channels = list(dict.fromkeys((*task.inputs, *task.targets, *outputs)))
     runs, others = ([only(r, channels) for r in each] for each in (recordings, held))
     rig = _beside(task, rig_of(task.reduced, runs, holdout=others or None))
     told = {n: c for n, c in task.rig.channels.items() if n in channels} if task.rig else {}
