@@ -168,7 +168,7 @@ class State:
     found: what is claimed, with its fits. claims: what the gates left. explained: the share of what can be explained
     that `found` explains. left: what it leaves, in words, where the noise does not say that. unlike: why a smooth curve
     that is claimed is another one. unknown: where something is missing that no effect explains, and a term for it.
-    supported: what the search found before the gates.
+    supported, had: what the search found before the gates, and its values.
     """
 
     search: Search
@@ -182,6 +182,7 @@ class State:
     unlike: str = ""
     unknown: dict = field(default_factory=dict)
     supported: Hypothesis = field(default_factory=Hypothesis)
+    had: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def open(self) -> bool:
@@ -304,7 +305,8 @@ def _supported(search: Search, selection: Selection, found: Found, progress: Pro
     if claimed is not found:
         share = found.of.explained(found, selection.plain)
         claims.refused.append(f"{_named(search, found.best)} is not claimed: it takes {share:.0%} of what is missing")
-    return State(search, selection, progress, selection.again(found, claims), claims, supported=found.best)
+    again = selection.again(found, claims)
+    return State(search, selection, progress, again, claims, supported=found.best, had=found.fit.values)
 
 
 def _claimed(state: State) -> State:
@@ -425,8 +427,7 @@ def _regained(state: State) -> State:
         if not (state.open and best.effects) or key in best.effects or search.skips(Hypothesis((key,))):
             continue
         more = best.plus(Hypothesis((key,)))
-        had = next((fit.values for h, fit in state.selection.fits.items() if key in h.effects), {})
-        fit = search.fit(state.claims.fit.likelihood, more, {**had, **state.claims.fit.values})
+        fit = search.fit(state.claims.fit.likelihood, more, {**state.had, **state.claims.fit.values})
         claims = earned(
             search, search.in_whole(state.selection.plain), more, fit, state.selection.refit, state.progress
         )

@@ -587,3 +587,21 @@ def test_no_wrong_name_is_sure_and_what_is_left_has_a_place(name, tmp_path):
         for channel, rms in found["fit"]["identify"].items():
             error = predicted[channel] - recording[channel]
             assert np.sqrt(np.mean(error**2)) == pytest.approx(rms["corrected"], rel=1e-6)
+
+
+def test_what_is_asked_once_more_has_the_values_that_the_search_gave_it(monkeypatch):
+    """Where a phase is told, or a number of samples, is no unknown of a fit: nobody else has it."""
+    asked = {}
+    search = SimpleNamespace(
+        skips=lambda hypothesis: False,
+        in_whole=lambda fit: fit,
+        fit=lambda likelihood, hypothesis, values: asked.update({hypothesis: values}),
+    )
+    left = SimpleNamespace(best=Hypothesis(("drag",)), fit=SimpleNamespace(likelihood=None, values={"c": 2.0}))
+    state = SimpleNamespace(
+        search=search, found=left, claims=left, open=True, selection=SimpleNamespace(plain=None, refit=None),
+        supported=Hypothesis(("drag", "ripple")), had={"c": 1.0, "ripple_at": 0.3}, progress=None,
+    )  # fmt: skip
+    monkeypatch.setattr(finding, "earned", lambda *given: left)
+    assert finding._regained(state) is state
+    assert asked == {Hypothesis(("drag", "ripple")): {"c": 2.0, "ripple_at": 0.3}}
