@@ -132,7 +132,8 @@ class Search:
     def _likelihoods(self, recording: Recording) -> tuple[Likelihood, Likelihood]:
         """Over longer windows and over shorter ones; of a free run, which is one window, both are the same."""
         rig = self.rig
-        if not rig.window:
+        longest = rig.window
+        if not longest:
             free_run = (Likelihood if rig.stated else Coloured)(modelled(rig, recording, self.effects))
             return free_run, free_run
         if isinstance(rig.plant.outside, Local):
@@ -140,7 +141,7 @@ class Search:
         memories = [memory(run[name]) for run in recording.runs for name in rig.predict]
 
         def over(samples: int, shares: tuple[float, float]) -> Likelihood:
-            window = min(span(samples, memories, shares, FEWEST), rig.window)
+            window = min(span(samples, memories, shares, FEWEST), longest)
             return Likelihood(modelled(rig, recording, self.effects, window))
 
         return over(LONG_WINDOW, LONG_SHARES), over(SHORT, SHORT_SHARES)
