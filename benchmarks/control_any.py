@@ -142,7 +142,7 @@ def peers() -> dict:
 def days(of: Machine, horizon: int) -> dict:
     """What do-mpc is asked: the machine of each day, its loads, and the same limits and weights."""
     limits, cases = of.limits, {}
-    for case in Case:
+    for case in (Case.NOMINAL, Case.LOAD):
         day = UnderWay(of, case, 0, len(of.reference))
         cases[case] = {"values": day.model.values, "load": day._load.tolist(), "share": day._share.tolist()}
     return {

@@ -198,6 +198,9 @@ class Predictive:
     def _minimum(self, hessian, gradient, matrix, low, high) -> np.ndarray:
         from scipy import sparse
 
+        if not all(np.isfinite(part).all() for part in (hessian, gradient, matrix)):  # of which OSQP prints to stdout
+            self.solved = False
+            return np.zeros(self._size)
         scale = 1.0 / max(float(np.abs(hessian).max()), 1.0)
         if self._solver is None:
             full = np.ones_like(matrix)

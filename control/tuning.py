@@ -27,6 +27,7 @@ STATES = (1e-6, 1e-4, 1e-2)  # of a state's size: by how much it departs from th
 LOADS = (1e-4, 1e-3, 1e-2, 0.1)  # of an input's range: by how much a load changes in a sample
 HORIZONS, SMOOTHS = (12, 25, 50), (1e-4, 1e-2, 1.0, 100.0)
 KNOTS = 7
+MARGIN = 3.0  # standard deviations of a sensor, by which a limit of what it measures is kept
 SENSED = 1e-4  # of a signal's size, RMS: no sensor is taken for a better one
 TOLERANCE = 1e-2  # of a tracked output's size: the error that counts as one
 
@@ -87,6 +88,15 @@ def _one(limits: Limits, column: int) -> Limits:
     return Limits(low, high, rate)
 
 
+def _within(machine: Machine) -> Limits:
+    """The limits, those of measured outputs narrower by their noise; a narrow range keeps half of its own."""
+    outputs = {}
+    for name, (low, high) in machine.limits.outputs.items():
+        room = min(MARGIN * machine.noise.get(name, 0.0), (high - low) / 4)
+        outputs[name] = (low + room, high - room)
+    return replace(machine.limits, outputs=outputs)
+
+
 class Predicted:
     """Predictive control with the observer that gives it the state, and what disturbs."""
 
@@ -94,7 +104,7 @@ class Predicted:
         tracked = [next(p for p in machine.signals if p.name == n) for n in machine.tracked]
         aims = [Aim(p.name, TOLERANCE * s, smooth) for p, s in zip(tracked, machine.sizes, strict=True)]
         prediction = Rolled(observer.model, machine.drives, machine.signals, hats(knots(horizon, min(KNOTS, horizon))))
-        self.predictive = Predictive(prediction, aims, machine.limits)
+        self.predictive = Predictive(prediction, aims, _within(machine))
         self.observer, self.ahead, self._measured = observer, horizon, [*machine.noise]
 
     def reset(self) -> None:

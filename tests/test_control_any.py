@@ -8,10 +8,11 @@ import pytest
 
 from greygate.control import learning, tuning
 from greygate.control.choices import Case, Method, Place
-from greygate.control.modelled import Disturbed, OfNetwork, OfPlant, derivatives
+from greygate.control.modelled import Disturbed, OfNetwork, OfPlant, Rolled, derivatives
 from greygate.control.observer import Kalman
 from greygate.control.own import varied
 from greygate.control.prediction import Prediction, hats, knots, online
+from greygate.control.predictive import Aim, Predictive
 from greygate.errors import InputError
 from greygate.hardware import controlled
 from greygate.hardware.controlled import table
@@ -184,6 +185,17 @@ def test_a_network_drives_as_the_predictive_controller_and_fixed_point_as_the_ne
     assert max(errors[2:]) < errors[0]
     assert done.found["network"]["matches"] == (max(done.found["network"]["apart"].values()) <= learning.FACTOR)
     assert all(not run["limits"]["rate"] for run in done.found["rows"]["network, fixed"].values())
+
+
+def test_what_is_not_finite_is_not_solved_and_says_nothing_on_stdout(tmp_path, capfd):
+    machine = asked(*files(tmp_path), Wishes({"u": (-10.0, 10.0)}))
+    prediction = Rolled(machine.model, machine.drives, machine.signals, hats(knots(10, 3)))
+    controller = Predictive(prediction, Aim("x", 1e-3, 1e-2), machine.limits)
+    assert np.isfinite(controller(np.zeros(2), np.zeros(10)))
+    assert controller.solved
+    controller(np.full(2, np.inf), np.zeros(10))
+    assert not controller.solved
+    assert capfd.readouterr().out == ""
 
 
 def test_another_reference_is_no_faster_than_the_one_given():
