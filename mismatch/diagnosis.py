@@ -102,6 +102,7 @@ class Diagnosis:
                 **({"refused": self.refused} if self.refused else {}),
                 **({"not_tried": [*self.search.untried]} if self.search.untried else {}),
                 **({"units": clashing} if (clashing := clashes(self.rig.plant)) else {}),
+                **({"searched": share} if (share := self.search.searched) < 1.0 else {}),
                 **({"not_larger_than": self.not_larger_than} if self.not_larger_than else {}),
                 **({"noise": self._noise(self.noise)} if self.noise else {}),
                 "seconds": round(self.seconds, 2),

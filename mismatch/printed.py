@@ -110,6 +110,7 @@ class Diagnosed(TypedDict):
     refused: NotRequired[list[str]]
     units: NotRequired[list[str]]
     not_tried: NotRequired[Annotated[list[str], "Hypotheses for which there was no time."]]
+    searched: NotRequired[Annotated[Figure, "The share of the recording in which effects were searched, if not all."]]
     not_larger_than: NotRequired[list[RuledOut]]
     noise: NotRequired[dict[str, Noisy]]
     reads: NotRequired[Annotated[list[str], "What a network reads that it was made for, as build-snn and make do."]]

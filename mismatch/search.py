@@ -48,6 +48,7 @@ SHAPE_SCALE = 0.1  # of its typical value: the step in which another shape param
 GUESSES = (0.3, 1.0, 3.0)  # times its typical value, at which a parameter of the plant that becomes free is tried
 SECANT_REACH = 3.0  # times the point to which a secant is drawn, beyond which it says nothing
 UNBOUNDED = 1e3  # standard deviations that a released parameter may go in the linearised fit: no bound in practice
+PLACES = 3  # after the point, of a share
 SOLVED_PAIRS = 4  # times the pairs that are wanted are solved within bounds, after a ranking without bounds
 
 
@@ -149,6 +150,12 @@ class Search:
     @property
     def noise(self) -> Noise:
         return self.final.noise
+
+    @property
+    def searched(self) -> float:
+        """The share of the recording that is the part in which hypotheses are compared."""
+        part, whole = (s.final.model.recording.samples for s in (self.part, self))
+        return round(part / whole, PLACES)
 
     def over(self, recording: Recording) -> "Search":
         """The same search in another recording, whose likelihoods are its own."""

@@ -104,6 +104,8 @@ def lines(result: Diagnosis) -> list[str]:
     if untried := found.get("not_tried"):
         what = f"{len(untried)} hypotheses and steps"
         out.append(row("not tried", f"{what}, for want of time: {', '.join(untried[:FEW])}"))
+    if share := found.get("searched"):
+        out.append(row("searched", f"{share:.0%} of the recording, for runs are dear; fitted and tested on all of it"))
     for i, text in enumerate(bounds(found)):
         out.append(row("" if i else "not there", text))
     for i, text in enumerate(hidden(result)):

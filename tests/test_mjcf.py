@@ -556,6 +556,8 @@ def test_what_is_found_in_stretches_of_a_recording_is_fitted_to_all_of_it(dear):
     found = diagnose(rig, effects=effects)
     assert found.search.part.final.model.recording.samples == 240
     assert found.corrected.likelihood.model.recording.samples == SAMPLES
+    assert found.as_dict()["searched"] == 0.4
+    assert "searched      40% of the recording" in str(found)
     assert [e["id"] for e in found.as_dict()["effects"]] == ["dry_friction_shoulder"]
     assert abs(found.corrected.values["frictionloss_shoulder"] - 0.02) < 1e-3
 
