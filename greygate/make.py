@@ -236,7 +236,8 @@ def _build(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
 
 def _validate(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     learnt, held = _files(asked, out)
-    settle = 0 if held else min(parts_of(asked.recordings, False)[0].values())
+    settle = asked.task.rig.settle if asked.task.rig else 0
+    settle = settle if held else min(parts_of(asked.recordings, False)[0].values())
     judged = judge(Source(str(_network(asked, out)), {**learnt, **held}, settle), progress=progress)
     _draw(new, story.validated(judged, asked.judges))
     (new / FIGURES).write_text(

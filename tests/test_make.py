@@ -146,6 +146,17 @@ def test_after_a_cut_the_rest_is_done_and_nothing_is_half_written(world, copy, g
     assert (code, printed) == (130, "")
 
 
+def test_where_no_design_will_do_the_answer_is_no_and_the_page_tells_of_the_rest(
+    world, copy, greygate, monkeypatch
+):
+    monkeypatch.setattr(make, "requested", partial(make.requested, widths=(8,), multipliers=(1,)))
+    code, printed, _ = greygate(*arguments(world, copy, "--max-error", "1.0001x"), "--json")
+    told = json.loads(printed)
+    assert (code, again(printed), told["passed"]) == (1, NAMES[:5], False)
+    assert told["unmet"].startswith("compile: ")
+    assert '<h2 id="compile">' not in (copy / "index.html").read_text()
+
+
 def test_a_file_that_somebody_changed_is_not_overwritten(world, copy, greygate):
     (copy / "correct" / "lag.toml").write_text("# mine\n")
     code, printed, error = greygate(*arguments(world, copy))

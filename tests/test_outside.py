@@ -87,6 +87,7 @@ def test_a_structured_network_needs_equations_and_the_refusal_names_what_does_no
     code, _, told = greygate("build-snn", folder / "arm", folder / "arm/identify.csv", "--out", out)
     assert (code, told.count("\n")) == (2, 1)
     assert "greygate identify" in told
+    assert greygate("make", folder / "arm", "--out", out) == (2, "", told)
     assert not out.exists()
 
 

@@ -169,3 +169,14 @@ def test_a_root_is_found_in_the_library():
     found = part("outflow", lambda at: 3e-4 * np.sqrt(np.maximum(at["h"], 0.0)), seen, {"h": []}, 0, log)
     assert found.of_library
     assert "library network square_root" in log.decisions[-1].choice
+
+
+def test_a_recording_that_begins_in_motion_is_simulated_from_there(real):
+    """As the held-out part of a rig that `init-rig` makes of one recording."""
+    whole = recorded(real, 3)
+    cut = {n: v[300:] for n, v in whole.channels.items()}
+    task, later = Task.of(real, [whole], (), ()), Recording(DT, cut, whole.units)
+    at_rest = simulate(real, {"u": later["u"]}, sample_time=DT, step=2e-4, initial={"x": float(later["x"][0])})
+    errors = [rms(run["x"] - later["x"]) for run in (task.nominal(later), at_rest)]
+    assert errors[0] < 1e-4 < 0.05 * errors[1]
+    assert task._start(whole) == {"x": 0.0}

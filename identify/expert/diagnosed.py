@@ -51,11 +51,11 @@ def rig_for(task: Task, recordings: Sequence[Recording], held: Sequence[Recordin
 
 
 def _beside(task: Task, rig: Rig) -> Rig:
-    """The rig with the effects that stand in the folder of the task's, and none of the recordings there."""
+    """The rig as the task's settles, with the effects that stand in its folder, and none of the recordings there."""
     if task.rig is None:
         return rig
     held = tuple(name for name in rig.holdout if name in rig.given)
-    return replace(rig, folder=task.rig.folder, holdout=held)
+    return replace(rig, folder=task.rig.folder, holdout=held, settle=task.rig.settle)
 
 
 def only(recording: Recording, channels: Sequence[str]) -> Recording:

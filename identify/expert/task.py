@@ -10,6 +10,7 @@ from greygate.errors import InputError
 from greygate.identify.expert.acting import Filter
 from greygate.mismatch.model import FILTERS
 from greygate.mismatch.rig import Own, Rig
+from greygate.models.accuracy import rms
 from greygate.models.sampling import same
 from greygate.models.training.record import Record
 from greygate.plants.closure import Closure
@@ -20,6 +21,8 @@ from greygate.plants.simulator import simulate
 
 SHORTEST = 40  # samples of a recording
 GRID = 2001  # values of a state at which a term is asked how fast it turns
+BEGUN, NUDGE = 20, 1e-3  # samples from which a start in motion is read; of its rates, for a difference
+FAR_BETTER = 0.2  # of the error from rest, which a start in motion must reach
 SAME = 1e-6  # of a slope, by which that of a linear term differs by rounding
 
 
@@ -222,18 +225,47 @@ class Task:
 
     def nominal(self, recording: Recording) -> dict[str, np.ndarray]:
         """Every signal of the plant's own simulation on what the recording's inputs are."""
-        inner = max(int(np.ceil(self.step / self.plant.step - 1e-9)), 1)
-        start = {s: float(recording[s][0]) for s in self.states if s in self.targets}
         symbols = [*self.states, *(d.symbol for d in self.definitions.values())]
-        run = simulate(
-            self.reduced, self.signals(recording), sample_time=self.step, step=self.step / inner, initial=start,
-            channels=symbols,
-        )  # fmt: skip
-        found = dict(run.channels)
+        found = dict(self._run(self.signals(recording), self._start(recording), symbols))
         scope = {**found, **{s: p.value for s, p in self.plant.parameters.items()}, **self.signals(recording)}
         for target, terms in self.readings.items():
             found[target] = found[target] + sum(parse(text).over(scope) for text in terms.values())
         return found
+
+    def _start(self, recording: Recording) -> dict[str, float]:
+        """Where the targets are at the first sample, and their rates where it begins in motion.
+
+        It does where the first samples are met far better so than from rest. The rates are of a parabola through the
+        first samples, then by one step of Gauss-Newton.
+        """
+        known = {s: float(recording[s][0]) for s in self.states if s in self.targets}
+        moving = {
+            rate: float(np.polyfit(self.step * np.arange(BEGUN), recording[s][:BEGUN], 2)[1])
+            for s in known if (rate := self.plant.states[s].rate) in self.states and rate not in known
+        }  # fmt: skip
+        if not any(moving.values()):
+            return known
+        signals = {n: v[:BEGUN] for n, v in self.signals(recording).items()}
+
+        def missed(factor: float) -> np.ndarray:
+            start = {**known, **{rate: factor * value for rate, value in moving.items()}}
+            run = self._run(signals, start, [*known])
+            return np.concatenate([run[s] - recording[s][:BEGUN] for s in known])
+
+        first = missed(1.0)
+        slope = (missed(1.0 + NUDGE) - first) / NUDGE
+        best = 1.0 - float(slope @ first) / (float(slope @ slope) or 1.0)
+        if not rms(missed(best)) < FAR_BETTER * rms(missed(0.0)):
+            return known
+        return known | {rate: best * value for rate, value in moving.items()}
+
+    def _run(
+        self, signals: Mapping[str, np.ndarray], start: Mapping[str, float], channels: Sequence[str]
+    ) -> Mapping[str, np.ndarray]:
+        inner = max(int(np.ceil(self.step / self.plant.step - 1e-9)), 1)
+        return simulate(
+            self.reduced, signals, sample_time=self.step, step=self.step / inner, initial=start, channels=channels
+        ).channels
 
     def record(self, recording: Recording) -> Record:
         """What a network of this task learns, with the inputs at rest before the first sample."""
@@ -245,8 +277,9 @@ class Task:
 def _alike(rig: Rig, recordings: Sequence[Recording]) -> None:
     """Raise InputError where a recording has values of parameters of its own."""
     for recording in recordings:
-        if own := rig.own.get(recording.name, Own()).parameters:
-            why = f"{next(iter(own))} has another value there, and a network has one; make it an input of the plant"
+        own = rig.own.get(recording.name, Own()).parameters
+        if other := [s for s, value in own.items() if value != rig.plant.parameters[s].value]:
+            why = f"{other[0]} has another value there, and a network has one; make it an input of the plant"
             raise InputError(f"{recording.source}: {why}")
 
 
