@@ -146,9 +146,7 @@ def test_after_a_cut_the_rest_is_done_and_nothing_is_half_written(world, copy, g
     assert (code, printed) == (130, "")
 
 
-def test_where_no_design_will_do_the_answer_is_no_and_the_page_tells_of_the_rest(
-    world, copy, greygate, monkeypatch
-):
+def test_where_no_design_will_do_the_answer_is_no_and_the_page_tells_of_the_rest(world, copy, greygate, monkeypatch):
     monkeypatch.setattr(make, "requested", partial(make.requested, widths=(8,), multipliers=(1,)))
     code, printed, _ = greygate(*arguments(world, copy, "--max-error", "1.0001x"), "--json")
     told = json.loads(printed)
