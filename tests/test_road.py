@@ -14,6 +14,7 @@ from greygate.identify.expert.integration import SCHEMES, step
 from greygate.identify.expert.parts import part
 from greygate.identify.expert.refined import refined
 from greygate.identify.expert.task import Task
+from greygate.mismatch.given import rig_of
 from greygate.mismatch.model import FILTERS as ON_RECORD
 from greygate.models.accuracy import rms
 from greygate.models.network import Network, Port
@@ -171,12 +172,13 @@ def test_a_root_is_found_in_the_library():
     assert "library network square_root" in log.decisions[-1].choice
 
 
-def test_a_recording_that_begins_in_motion_is_simulated_from_there(real):
-    """As the held-out part of a rig that `init-rig` makes of one recording."""
+def test_the_held_out_part_of_a_rig_is_simulated_from_the_motion_in_which_it_begins(real):
+    """As `init-rig` makes it of one recording: its first samples only give its initial state."""
     whole = recorded(real, 3)
-    cut = {n: v[300:] for n, v in whole.channels.items()}
-    task, later = Task.of(real, [whole], (), ()), Recording(DT, cut, whole.units)
+    later = Recording(DT, {n: v[300:] for n, v in whole.channels.items()}, whole.units, "holdout.csv")
+    task = Task.of(replace(rig_of(real, whole), settle=10), [whole], (), ())
     at_rest = simulate(real, {"u": later["u"]}, sample_time=DT, step=2e-4, initial={"x": float(later["x"][0])})
     errors = [rms(run["x"] - later["x"]) for run in (task.nominal(later), at_rest)]
     assert errors[0] < 1e-4 < 0.05 * errors[1]
-    assert task._start(whole) == {"x": 0.0}
+    first = replace(later, source=f"{task.rig.identify[0]}.csv")  # what it learns from begins at rest
+    assert rms(task.nominal(first)["x"] - at_rest["x"]) == 0.0

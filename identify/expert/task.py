@@ -9,20 +9,18 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.identify.expert.acting import Filter
 from greygate.mismatch.model import FILTERS
-from greygate.mismatch.rig import Own, Rig
-from greygate.models.accuracy import rms
+from greygate.mismatch.rig import FEWEST, Own, Rig
 from greygate.models.sampling import same
 from greygate.models.training.record import Record
 from greygate.plants.closure import Closure
 from greygate.plants.expressions import names, parse
 from greygate.plants.plant import Definition, Equation, Plant, Values
-from greygate.plants.recording import Recording
+from greygate.plants.recording import Recording, run_name
 from greygate.plants.simulator import simulate
 
 SHORTEST = 40  # samples of a recording
 GRID = 2001  # values of a state at which a term is asked how fast it turns
-BEGUN, NUDGE = 20, 1e-3  # samples from which a start in motion is read; of its rates, for a difference
-FAR_BETTER = 0.2  # of the error from rest, which a start in motion must reach
+NUDGE = 1e-3  # of the rates in which a recording begins, for a difference
 SAME = 1e-6  # of a slope, by which that of a linear term differs by rounding
 
 
@@ -233,30 +231,28 @@ class Task:
         return found
 
     def _start(self, recording: Recording) -> dict[str, float]:
-        """Where the targets are at the first sample, and their rates where it begins in motion.
+        """Where the targets are at the first sample; and their rates, where a rig's file says that it settles.
 
-        It does where the first samples are met far better so than from rest. The rates are of a parabola through the
-        first samples, then by one step of Gauss-Newton.
+        The rates are of a parabola through the samples in which it does, then by one step of Gauss-Newton. What a rig
+        learns from begins at rest, as in its diagnosis.
         """
         known = {s: float(recording[s][0]) for s in self.states if s in self.targets}
-        moving = {
-            rate: float(np.polyfit(self.step * np.arange(BEGUN), recording[s][:BEGUN], 2)[1])
-            for s in known if (rate := self.plant.states[s].rate) in self.states and rate not in known
-        }  # fmt: skip
-        if not any(moving.values()):
+        rates = {s: rate for s in known if (rate := self.plant.states[s].rate) in self.states and rate not in known}
+        if self.rig is None or self.rig.settle < FEWEST or recording.name in map(run_name, self.rig.identify):
             return known
-        signals = {n: v[:BEGUN] for n, v in self.signals(recording).items()}
+        settle = min(self.rig.settle, recording.samples)
+        clock, signals = self.step * np.arange(settle), {n: v[:settle] for n, v in self.signals(recording).items()}
+        moving = {rate: float(np.polyfit(clock, recording[s][:settle], 2)[1]) for s, rate in rates.items()}
 
         def missed(factor: float) -> np.ndarray:
             start = {**known, **{rate: factor * value for rate, value in moving.items()}}
-            run = self._run(signals, start, [*known])
-            return np.concatenate([run[s] - recording[s][:BEGUN] for s in known])
+            run = self._run(signals, start, [*rates])
+            return np.concatenate([run[s] - recording[s][:settle] for s in rates])
 
-        first = missed(1.0)
-        slope = (missed(1.0 + NUDGE) - first) / NUDGE
-        best = 1.0 - float(slope @ first) / (float(slope @ slope) or 1.0)
-        if not rms(missed(best)) < FAR_BETTER * rms(missed(0.0)):
+        if not any(moving.values()):
             return known
+        slope = (missed(1.0 + NUDGE) - missed(1.0)) / NUDGE
+        best = 1.0 - float(slope @ missed(1.0)) / (float(slope @ slope) or 1.0)
         return known | {rate: best * value for rate, value in moving.items()}
 
     def _run(
