@@ -1,7 +1,7 @@
 """What all architectures write alike: names, numbers, instances, tables, the stream at the edge (Verilog-2005)."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields as dataclass_fields
 from functools import cache
 from pathlib import Path
@@ -43,9 +43,7 @@ def verilog_names(program: Program) -> dict[str, str]:
     names = {s: s.replace(".", "__") for s in program.signals}
     tables = [(t.name, table_module(program, t)) for t in program.tables]
     for original, name in [(program.name, program.name), *names.items(), *tables]:
-        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name in KEYWORDS or name.startswith("greygate_"):
-            said = one_line(original)
-            raise InputError(f"{said}: not a name that Verilog can hold; use letters, digits and _, no keyword")
+        _holdable(original, name)
     taken = dict.fromkeys((*TAKEN, program.name), "a port or part of the core")
     for original, name in names.items():
         for used in (name, f"{name}_layer"):
@@ -58,6 +56,20 @@ def verilog_names(program: Program) -> dict[str, str]:
         if modules.count(name) > 1:
             raise InputError(f"{program.name}: two modules would be called {name}; rename an operation or a table")
     return names
+
+
+def check_ports(names: Iterable[str]) -> None:
+    """Raise InputError for a name that no port of a program can have in Verilog."""
+    for name in names:
+        _holdable(name, name)
+        if name in TAKEN:
+            raise InputError(f"{name}: its name in Verilog is also that of a port or part of the core; rename it")
+
+
+def _holdable(original: str, name: str) -> None:
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name in KEYWORDS or name.startswith("greygate_"):
+        said = one_line(original)
+        raise InputError(f"{said}: not a name that Verilog can hold; use letters, digits and _, no keyword")
 
 
 def number(value: int, width: int) -> str:
