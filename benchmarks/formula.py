@@ -19,7 +19,7 @@ from .made import keep, stored
 from .shared import scratch, stopwatch
 
 TAKES = "half an hour"
-SEEDS = (35, 36)  # others than those it was built with
+SEEDS = (37, 38)  # others than those it was built with
 ODD, EVEN, BENT, SIGN, ROUND, FLAT = "odd", "even", "threshold", "saturating", "periodic", "constant"
 CASES: dict[str, dict[str, tuple[str, ...]]] = {  # plant -> effect -> kinds of function that are right
     "motor": {"dry_friction": (SIGN,), "square_damping": (ODD,), "constant_load": (FLAT,), "input_dead_zone": (SIGN,)},

@@ -20,6 +20,7 @@ from greygate.plants.expressions import names
 ROUNDS = 2  # in which a formula is judged near the run with the one before
 MARGIN = 0.1  # of the misfit, by which rivals may be worse: so wrong is what is only in proportion
 LESS = 1e-3  # of the misfit, that a formula may take less where the run is free
+SEEN_NEAR = 2  # rivals that are nearly as good where the run is near, though they were not in proportion
 RIVALS = 6  # for which a formula is written, at most
 NEEDED = 2.0  # times what a formula leaves, that is left without one of its signals, if it needs that
 FAR = 8.0  # times the best cost, beyond which a rival is out
@@ -43,7 +44,7 @@ def settled(search: Search, values: Mapping[str, float] | None) -> tuple[Finder,
         if near is None:
             break
         before, finder = formula, near
-        formula, rivals = near.best(formula, rivals)
+        formula, rivals = near.best(formula, _joined(_rivals(near)[:SEEN_NEAR], rivals))
         if not near.unclear(formula) or (formula.place, formula.texts) == (before.place, before.texts):
             break
     return finder, formula
@@ -53,6 +54,12 @@ def _rivals(finder: Finder) -> list[Where]:
     """The places and signals that are nearly as good as the best."""
     least = finder.where[2] - MARGIN * finder.misfit
     return [w for w in finder.ranked if w.gain >= least and not w.place[0].startswith(SENSOR)]
+
+
+def _joined(first: Sequence[Where], others: Sequence[Where]) -> list[Where]:
+    """Both, `first` before; what is of the same place and signals stands once."""
+    known = {(w.place, w.variables) for w in first}
+    return [*first, *(w for w in others if (w.place, w.variables) not in known)]
 
 
 def _near(search: Search, finder: Finder, formula: Formula) -> "Near | None":

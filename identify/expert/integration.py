@@ -8,7 +8,7 @@ and Matthews, Journal of Computational Physics 176, 2002, section 2).
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, matrix_balance
 
 ROUNDING = 1e-13  # of the largest entry of an exponential, below which one is the rounding of 0, or of 1
 UNSTABLE = 2.0  # turns of the fastest term in a substep, from which an explicit step grows
@@ -51,10 +51,14 @@ class Step:
 def step(a: np.ndarray, h: float) -> Step:
     """own = exp(A h), first = h phi_1(A h), second = h phi_2(A h). a: (n, n), in 1/s; h: s."""
     n = len(a)
+    alike, (size, _) = matrix_balance(
+        a, permute=False, separate=True
+    )  # else a pascal decides what a metre's rounding is
     whole = np.zeros((3 * n, 3 * n))
-    whole[:n, :n], whole[:n, n : 2 * n], whole[n : 2 * n, 2 * n :] = a * h, np.eye(n), np.eye(n)
-    moved = expm(whole)
-    return Step(_clean(moved[:n, :n]), _clean(moved[:n, n : 2 * n]) * h, _clean(moved[:n, 2 * n :]) * h)
+    whole[:n, :n], whole[:n, n : 2 * n], whole[n : 2 * n, 2 * n :] = alike * h, np.eye(n), np.eye(n)
+    moved, units = expm(whole), size[:, None] / size
+    own, first, second = (_clean(moved[:n, i * n : (i + 1) * n]) * units for i in range(3))
+    return Step(own, first * h, second * h)
 
 
 def _clean(matrix: np.ndarray) -> np.ndarray:
