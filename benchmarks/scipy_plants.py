@@ -4,6 +4,7 @@ Beside it: the plant as it is and calibrated, `greygate identify`, the best line
 effect, its size fitted. All are judged on one further recording; the network's Verilog is compared in every bit.
 """
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -13,6 +14,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from greygate import diagnose
+from greygate.mismatch.given import rig_of
 from greygate.mismatch.several import by_rule, modelled
 from greygate.plants.excitation import prms
 from greygate.plants.plant import Plant
@@ -20,7 +22,7 @@ from greygate.plants.recording import Recording
 
 from .shared import scratch, stopwatch, told
 
-TAKES = "an hour"
+TAKES = "ten minutes"
 NOISE = 1e-3  # of what a channel moves
 FINE = {"rtol": 1e-8, "atol": 1e-10}
 
@@ -237,8 +239,6 @@ PLANTS = {
 
 def calibrated(text: str, folder: Path, files: Sequence[Path]) -> float:
     """RMS on the second recording of the plant of `text`, calibrated to the first, no effect tried."""
-    from greygate.mismatch.given import rig_of
-
     (folder / "plant.toml").write_text(text)
     plant = Plant.read(folder / "plant.toml")
     free = {s: p.tolerance for s, p in plant.parameters.items() if p.tolerance}
@@ -273,12 +273,22 @@ def found(name: str) -> dict:
         words = (word for name in ("u", *made.sensors) for word in ("--input", name))
         words = (files[0], "--test", files[1], "--output", judged, *words, "--seconds", 60)
         other = told("identify", *words, "--out", folder / "id")
-        rms = {who: next(iter(built["rms"][who]["test"].values())) for who in built["rms"]}
+        rms = {who: next(iter(by["test"].values())) for who, by in built["rms"].items()}
+        rms |= {"identify": other["test"]["test"], "calibrated": calibrated(made.plant, folder, files)}
+        said = {} if diagnosis is None else json.loads(diagnosis.read_text())
         return {
-            "channel": judged, "rms": rms, "identify": other, "bits": bits, "minutes": round(minutes, 2),
-            "diagnosis": diagnosis.read_text() if diagnosis else "", "neurons": built["neurons"],
-            "calibrated": calibrated(made.plant, folder, files), "true": calibrated(true, folder, files),
+            "channel": judged, "unit": made.outputs[judged][0], "rms": rms | {"true": calibrated(true, folder, files)},
+            "named": [called(effect) for effect in said.get("effects", ())], "minutes": round(minutes, 2),
+            "neurons": built["neurons"], "steps": sum(v["steps"] for v in bits["verdicts"]),
+            "differing": sum(v["mismatch"] is not None for v in bits["verdicts"]),
         }  # fmt: skip
+
+
+def called(effect: dict) -> str:
+    """The name of an effect; of a term that has none, what it is a function of and how."""
+    if effect["id"] != "unknown":
+        return effect["id"]
+    return " + ".join(symbol.removeprefix("unknown_") for symbol in effect["parameters"])
 
 
 PARTS = {name: partial(found, name) for name in PLANTS}
