@@ -196,7 +196,7 @@ def _resized(likelihood: Likelihood, effect: Effect, fit: Fit) -> Effect:
             typical, found = _corrected(typical, change(f.symbol, probe) * (1 / PROBE))
             if found:
                 break
-        free.append(replace(f, typical=float(np.clip(typical, -abs(f.low), abs(f.high)))))
+        free.append(replace(f, typical=float(min(typical, max(abs(f.low), abs(f.high))))))
     return replace(effect, free=tuple(free))
 
 

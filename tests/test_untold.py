@@ -1,13 +1,15 @@
 """The search where nobody told the noise: the run's error ranks, in the longest steps of time that serve."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from greygate.mismatch import rig as rigs
-from greygate.mismatch.coloured import Coloured
+from greygate.mismatch.coloured import Coloured, resized
 from greygate.mismatch.coloured_selection import ALIKE, _foretells, quicker
+from greygate.mismatch.entries import Effect, Free
 from greygate.mismatch.fit import Unknown
 from greygate.mismatch.model import Model
 from greygate.plants.expressions import summands
@@ -109,3 +111,13 @@ def test_what_an_effect_adds_is_computed_without_what_its_strengths_of_0_take_aw
     ]  # fmt: skip
     assert summands("a * x / b") == [("a", "a * x / b")]
     assert summands("a - b") == [("", "a - b")]  # not a sum of two multiples: it stays whole
+
+
+def test_the_size_of_what_is_negative_alone_stays_within_its_bound():
+    """A lap of a valve that is negative: its bound above is 0, and no size."""
+    model = SimpleNamespace(values={}, predict=lambda values: np.zeros((4, 1)))
+    likelihood = SimpleNamespace(residual=lambda values: np.ones((4, 1)), model=model)
+    lap = Free("lap", 1e-5, "m", -2e-6, 0.0, guess=(-1e-6,))
+    effect = Effect("underlap", "lap", ("valve",), ("opening",), (), (lap,), {"opening.lap": "lap"})
+    found = resized(likelihood, effect, SimpleNamespace(values={}))
+    assert found.free[0].typical == 2e-6

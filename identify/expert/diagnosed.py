@@ -3,12 +3,15 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from greygate.errors import InputError
 from greygate.identify.expert.acting import Filter, unbuilt
 from greygate.identify.expert.task import Task
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.diagnosis import Diagnosis
-from greygate.mismatch.entries import SENSOR, TIME, Effect
+from greygate.mismatch.effects import known
+from greygate.mismatch.entries import SENSOR, TIME, Effect, fitting
 from greygate.mismatch.given import rig_of
+from greygate.mismatch.joining import join
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import LINEAR, Rig
 from greygate.mismatch.simulation import corrected
@@ -72,8 +75,21 @@ def asked(
 
     No further hypothesis is tried after `seconds`. held: recordings that it is only reported on.
     """
-    found = diagnose(rig_for(task, recordings, held), progress=progress, budget=Budget(seconds))
+    rig = rig_for(task, recordings, held)
+    found = diagnose(rig, effects=_with_a_place(rig), progress=progress, budget=Budget(seconds))
     return found, found.as_dict() | {READS: list(task.inputs)}
+
+
+def _with_a_place(rig: Rig) -> dict[str, Effect]:
+    """The effects that may enter the plant of a rig: where a signal is measured, some of its equations are gone."""
+    found = {}
+    for key, effect in fitting(rig.plant, rig.datasheet, known(rig, rig.to_explain())).items():
+        try:
+            join(rig.plant, [effect])
+        except InputError:
+            continue
+        found[key] = effect
+    return found
 
 
 def correct(task: Task, recordings: Sequence[Recording], diagnosis: Mapping) -> Corrected:
