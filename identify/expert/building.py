@@ -40,10 +40,12 @@ from greygate.progress import Progress, silent
 JUDGED, TESTED = 0.25, 0.2  # of each recording, its end: for decisions, and to test where nothing else is given
 BLOCKS = 4  # of what is held out of each recording: a step must help in most of them
 GAIN = 0.98  # of the error before: what a step that adds something must reach
+EARNED = 0.9  # likewise of a term that nothing is known of: beyond what it was trained on it may do anything
 ALLOWED = 1.02  # of the error before: what a step that removes something may reach
 TAPS, NEURONS = 4, (4, 8)
 EPOCHS, REFIT, REMOVAL = 25, 15, 4
 DECAY = 1e-6
+HELD = 1.0  # tolerances that a parameter may be off beside something unexplained, which draws it
 FINE, COARSE = 1e-3, 1e-2  # of the plant's motion: where no finer integration is tried, and what none may miss
 DIAGNOSING = 120.0  # s, after which a diagnosis tries nothing further
 ROUNDS, SLOPE = 8, 1e-7  # of Newton's method for a state before the first sample; of its scale, for a difference
@@ -97,15 +99,23 @@ def build(
     log, known = Log(), given
     if diagnosis is None:
         diagnosis = diagnosed(given, recordings, bool(tests), min(DIAGNOSING, seconds / 2), log, progress)
-    if diagnosis is not None:
+    if diagnosis is not None and _drawn(diagnosis):
+        log("diagnose", given.plant.name, "the data sheet's values", "what is missing has no name, and draws others")
+    elif diagnosis is not None:
         found = correct(given, [*recordings.values()], diagnosis)
         known = corrected_task(given, found, sensors, diagnosis, log)
-        known = best_fit(known, given, recordings, bool(tests), found.own, log, progress)
+        within = HELD if diagnosis.get("verdict") in OPEN_VERDICTS else np.inf
+        known = best_fit(known, given, recordings, bool(tests), found.own, log, progress, within)
     remains = diagnosis is None or diagnosis.get("verdict") in OPEN_VERDICTS
     expert = Expert(known, given, recordings, tests, began + seconds, log, progress, remains)
     network = expert.built()
     progress("training a linear model to compare with")
     return Built(network, expert.log, expert.scores(network), monotonic() - began, diagnosis)
+
+
+def _drawn(diagnosis: Mapping) -> bool:
+    """Whether a diagnosis leaves something open and names nothing: its values make up for that on one recording."""
+    return diagnosis.get("verdict") in OPEN_VERDICTS and not diagnosis["effects"]
 
 
 def parts_of(recordings: Mapping[str, Recording], tested: bool) -> tuple[dict[str, int], dict[str, int]]:
@@ -140,9 +150,12 @@ def corrected_task(task: Task, found: Corrected, sensors: Sequence[str], diagnos
 
 def best_fit(
     task: Task, given: Task, recordings: Mapping[str, Recording], tested: bool, own: Mapping[str, str], log: Log,
-    progress: Progress,
+    progress: Progress, within: float,
 ) -> Task:  # fmt: skip
-    """The diagnosed task refined in free run, where that is better on what decides. given: that of the data sheet."""
+    """The diagnosed task refined in free run, where that is better on what decides. given: that of the data sheet.
+
+    within: tolerances that a parameter of it may be off.
+    """
     ends, heads = parts_of(recordings, tested)
     fitted = [upto(r, heads[n]) for n, r in recordings.items()]
     judged = {n: upto(r, ends[n]) for n, r in recordings.items()}
@@ -157,7 +170,7 @@ def best_fit(
         return float(np.sqrt(np.mean(np.square(errors))))
 
     best, before = task, left(task)
-    for what, other in refined(task, given.plant.parameters, fitted, own, progress):
+    for what, other in refined(task, given.plant.parameters, fitted, own, progress, within):
         error = left(other)
         undone = not error < GAIN * before
         moved = {s: p.value for s, p in other.plant.parameters.items() if p != best.plant.parameters.get(s)}
@@ -445,8 +458,9 @@ class Expert:
             return best
         error = self.error(network, self.judges())
         better = sum(a < b for a, b in zip(self.by_block(network), of_best, strict=True))
-        undone = not (error < GAIN * best.error and 2 * better > len(of_best))
-        why = f", not below {GAIN:g} of it" if not error < GAIN * best.error else ""
+        gain = GAIN if choices.unknown == best.choices.unknown else EARNED
+        undone = not (error < gain * best.error and 2 * better > len(of_best))
+        why = f", not below {gain:g} of it" if not error < gain * best.error else ""
         said = f"error {best.error:.3g} to {error:.3g}{why}, less in {better} of {len(of_best)} blocks"
         self.log("widen", about, what, said, undone)
         if undone:

@@ -77,11 +77,13 @@ def refined(
     recordings: Sequence[Recording],
     own: Mapping[str, str],
     progress: Callable[[str], None],
+    within: float = np.inf,
 ) -> list[tuple[str, Task]]:
     """What may be better than a diagnosed task: (what it is, the task), each fitted to the recordings.
 
-    sheet: the parameters as the data sheet has them. own: parameter of an effect -> that effect. A fit whose start
-    diverges is left out; nothing is fitted where the task misses the recordings by no more than their noise.
+    sheet: the parameters as the data sheet has them. own: parameter of an effect -> that effect. within: tolerances
+    that a parameter of the data sheet may be off. A fit whose start diverges is left out; nothing is fitted where the
+    task misses the recordings by no more than their noise.
     """
     if _quiet(task, recordings):
         return []
@@ -89,7 +91,7 @@ def refined(
     for said, trial in _trials(task, sheet, recordings, own):
         progress(f"fitting {said}")
         try:
-            found.append((said, _fitted(trial, recordings)))
+            found.append((said, _fitted(trial, recordings, within)))
         except InputError:  # the start diverges
             continue
     return found
@@ -151,7 +153,7 @@ def _fuller(task: Task, recordings: Sequence[Recording], own: Mapping[str, str],
         yield made, (*(s for s in own if own[s] != effect), symbols[0], *new.values())
 
 
-def _fitted(trial: Trial, recordings: Sequence[Recording]) -> Task:
+def _fitted(trial: Trial, recordings: Sequence[Recording], within: float) -> Task:
     """Least squares in free run; what the data sheet says counts as one measurement with its own uncertainty."""
     task, count = trial.task, len(trial.own)
     start = _errors(task, recordings)
@@ -170,8 +172,10 @@ def _fitted(trial: Trial, recordings: Sequence[Recording]) -> Task:
     runs = min(RUNS, int(WORK / steps))
     if not len(z) or not runs:
         return task
-    ends = np.r_[np.full(count, LONGEST), np.full(len(trial.sheet), np.inf)]
-    found = least_squares(missed, z, jac=_slopes(missed), bounds=(-ends, ends), max_nfev=runs)
+    off, own = trial.off(z), np.full(count, LONGEST)
+    low, high = np.minimum(-within - off, -DIFFERENCE), np.maximum(within - off, DIFFERENCE)
+    bounds = np.r_[-own, low], np.r_[own, high]
+    found = least_squares(missed, z, jac=_slopes(missed), bounds=bounds, max_nfev=runs)
     return trial.at(found.x)
 
 
