@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2, t
 
-from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.fit import Fit, Likelihood, flattened
 from greygate.mismatch.model import TINY
 from greygate.mismatch.rig import IN
 from greygate.mismatch.several import modelled
@@ -281,7 +281,7 @@ def _moved(fit: Fit, held: np.ndarray) -> bool:
     """Whether the parameters are others, by more than chance, if a block is not learnt from (Wald's test)."""
     values = _without(fit, held, exact=True)
     away = np.array([u.number(values[u.symbol]) - n for u, n in zip(fit.unknowns, fit.numbers, strict=True)])
-    slopes = fit.slopes[_learnt(fit, held)].reshape(-1, len(away))
+    slopes = flattened(fit.slopes[_learnt(fit, held)])
     information = slopes.T @ slopes + np.diag(fit.weight)
     squared = float(away @ information @ away) / max(1.0, float(np.mean(fit.projected**2)))
     return squared > chi2.isf(CHANCE, max(len(away), 1))

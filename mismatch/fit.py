@@ -183,7 +183,7 @@ class Fit:
         of, whole_ = self.likelihood.recording, _inverse(self.information)
         steps, factors = [], []
         for name in (names := np.unique(of)) if of.any() else ():
-            kept = self.slopes[of != name].reshape(-1, len(self.numbers))
+            kept = flattened(self.slopes[of != name])
             more = np.diag(_inverse(kept.T @ kept + np.diag(self.weight)) - whole_)
             steps.append(self.step(of != name))
             factors.append(np.where(more > ROUNDING * np.diag(whole_), steps[-1] ** 2 / np.maximum(more, TINY), 0.0))
@@ -220,7 +220,7 @@ class Fit:
 
         It is of the linearised fit.
         """
-        flat, errors = self.slopes[learn].reshape(-1, len(self.numbers)), self.projected[learn].reshape(-1)
+        flat, errors = flattened(self.slopes[learn]), self.projected[learn].reshape(-1)
         normal = flat.T @ flat + np.diag(self.weight + RIDGE)
         step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=SINGULAR)[0]
         return np.clip(step, *self.room.T)
@@ -238,6 +238,11 @@ class Fit:
         found = deviations(fit.normal[0] / white, self.weight, np.sqrt(np.diag(fit.covariance)))
         found = np.maximum(found, fit.spread())
         return {u.symbol: float(d * abs(u.scale)) for u, d in zip(self.unknowns, found, strict=True)}
+
+
+def flattened(slopes: np.ndarray) -> np.ndarray:
+    """Slopes (windows, rows, k) as (windows * rows, k); k may be 0."""
+    return slopes.reshape(slopes.shape[0] * slopes.shape[1], slopes.shape[2])
 
 
 def tame(change: np.ndarray) -> np.ndarray:
@@ -532,7 +537,7 @@ class _Descent:
             self.fine = self.smooth()
         slopes = likelihood.slopes(self.unknowns, values, at.shifts, at.errors, self.temper, self.both, self.fine)
         slopes, explained = likelihood.eliminate(slopes, None, basis)
-        flat = slopes.reshape(-1, len(self.unknowns))
+        flat = flattened(slopes)
         return _Linear(flat, explained, basis, flat.T @ flat)
 
     def smooth(self) -> bool:

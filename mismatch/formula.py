@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from greygate.mismatch.entries import SENSOR
-from greygate.mismatch.fit import NORMAL, Fit
+from greygate.mismatch.fit import NORMAL, Fit, flattened
 from greygate.mismatch.forced import Forced, Place, sensors
 from greygate.mismatch.halves import RIDGE, Halves
 from greygate.mismatch.linearised import nothing
@@ -378,7 +378,7 @@ class Finder:
         """The step of the parameters, then of `columns` (windows, rows, n), of the linearised fit to all windows."""
         base = self.forced.base
         k, every = len(base.unknowns), np.concatenate([base.slopes, columns], axis=2)
-        flat = every.reshape(-1, every.shape[2])
+        flat = flattened(every)
         normal, right = flat.T @ flat, -(flat.T @ base.projected.reshape(-1))
         normal[np.diag_indices(k)] += base.weight
         right[:k] -= base.weight * base.numbers

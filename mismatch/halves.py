@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greygate.mismatch.fit import HELD, Fit
+from greygate.mismatch.fit import HELD, Fit, flattened
 from greygate.mismatch.model import TINY
 
 RIDGE = 1e-6  # of a column's own square, which keeps the normal matrix of columns that are nearly alike regular
@@ -25,7 +25,7 @@ class Halves:
         even = base.likelihood.alternate(HELD)
         gram, pull = [], []
         for half in (even, ~even):
-            flat, e = both[half].reshape(-1, both.shape[2]), base.projected[half].reshape(-1)
+            flat, e = flattened(both[half]), base.projected[half].reshape(-1)
             g, p = flat.T @ flat, -(flat.T @ e)
             g[np.diag_indices(k)] += base.weight / 2
             p[:k] -= base.weight * base.numbers / 2

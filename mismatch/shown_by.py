@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greygate.mismatch.fit import NORMAL, Fit
+from greygate.mismatch.fit import NORMAL, Fit, flattened
 from greygate.mismatch.intervals import WIDER
 from greygate.mismatch.model import TINY
 
@@ -67,7 +67,7 @@ def shown_by(fit: Fit, symbols: Collection[str]) -> Shown | None:
 
 def margin(fit: Fit, symbols: Collection[str], windows: np.ndarray) -> float:
     """By how many half widths of its interval the surest of the unknowns is off nothing, by `windows` (bool) alone."""
-    flat, errors = fit.slopes[windows].reshape(-1, len(fit.numbers)), fit.projected[windows].reshape(-1)
+    flat, errors = flattened(fit.slopes[windows]), fit.projected[windows].reshape(-1)
     normal = flat.T @ flat + np.diag(fit.weight + RIDGE)
     scale = np.sqrt(np.diag(normal))
     bread = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)

@@ -85,7 +85,7 @@ def test_a_step_that_fails_is_undone_and_said_so(files, tmp_path):
     done = build_files(files / "motor.toml", *arguments, diagnosis=files / "open.json")
     (unknown,) = [d for d in done["decisions"] if d["about"] == "rotation"]
     assert unknown["undone"]
-    assert "not below 0.98 of it" in unknown["reason"]
+    assert "not below 0.9 of it" in unknown["reason"]
     assert "rotation: UNDONE: an unknown term of 4 neurons" in (out / "motor.decisions.txt").read_text()
     assert Network.load(out / "motor").neurons() == 0
 

@@ -121,3 +121,11 @@ def test_the_size_of_what_is_negative_alone_stays_within_its_bound():
     effect = Effect("underlap", "lap", ("valve",), ("opening",), (), (lap,), {"opening.lap": "lap"})
     found = resized(likelihood, effect, SimpleNamespace(values={}))
     assert found.free[0].typical == 2e-6
+
+
+def test_a_plant_with_nothing_uncertain_is_fitted_too(tmp_path):
+    fit = recorded(tmp_path).fit([])
+    assert np.isfinite(fit.cost)
+    assert fit.slopes.shape[2] == 0
+    last = np.arange(len(fit.slopes)) == len(fit.slopes) - 1
+    assert fit.judged(~last, last) > 0
