@@ -152,7 +152,9 @@ def _network(path: Path, drives: Sequence[str], units: Mapping[str, str]) -> Net
 
 
 def _model(what: Plant | Network, drives: Sequence[str], names: Sequence[str], period: float) -> OfPlant | OfNetwork:
-    return (OfPlant if isinstance(what, Plant) else OfNetwork)(what, drives, names, period)  # type: ignore[arg-type]
+    if isinstance(what, Plant):
+        return OfPlant(what, drives, names, period)
+    return OfNetwork(what, drives, names, period)
 
 
 def _drawn(what: Plant | Network, seed: int) -> Plant | Network:

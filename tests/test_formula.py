@@ -10,13 +10,13 @@ import pytest
 from greygate import progress
 from greygate.cli.terminal import ended_early
 from greygate.errors import InputError
-from greygate.mismatch import coloured_selection
+from greygate.mismatch import coloured_selection, nearer
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.concealed.conceal import EVERY_RIG, conceal
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import read
 from greygate.mismatch.forced import Acting, Forced, _opened, first
-from greygate.mismatch.formula import Finder, Formula, Shape
+from greygate.mismatch.formula import Finder, Formula, Shape, Where
 from greygate.mismatch.model import Model
 from greygate.mismatch.nearer import Near, settled
 from greygate.mismatch.runs import Runs
@@ -417,3 +417,26 @@ def test_without_a_told_noise_a_term_stands_in_the_place_of_names_that_leave_twi
     named, closed = (SimpleNamespace(likelihood=of) for of in ("names", "term"))
     outdone = coloured_selection.ColouredSelection.outdone
     assert outdone(None, Hypothesis(("input_dead_zone",)), 0.87, share, named, closed) == instead
+
+
+def test_what_is_best_near_the_run_is_tried_though_it_was_no_rival_in_proportion(monkeypatch):
+    """Of a motor's brush drop the current was none, as its curve is too sharp; near the run it takes all."""
+    far, near, both = (Where(("electric",), (v,), gain) for v, gain in (("u", 9.0), ("i", 10.0), ("u", 8.0)))
+    tried = []
+    finder = SimpleNamespace(
+        found=lambda: Formula(("electric",), (Shape(("u",), "linear", 1),), 0.6), ranked=[far], where=("", "", 9.0),
+        misfit=10.0, forced=SimpleNamespace(expected=1.0, anew=False),
+    )  # fmt: skip
+    there = SimpleNamespace(
+        ranked=[near, both], where=("", "", 10.0), misfit=10.0, unclear=lambda formula: False,
+        best=lambda formula, rivals: (tried.extend(rivals), (formula, rivals))[1],
+    )  # fmt: skip
+    monkeypatch.setattr(nearer, "Finder", lambda forced: finder)
+    monkeypatch.setattr(nearer, "Forced", lambda *given, **named: None)
+    monkeypatch.setattr(nearer, "_near", lambda *given: there)
+    settled(None, None)
+    assert [(w.variables, w.gain) for w in tried] == [(("i",), 10.0), (("u",), 9.0)]
+    there.ranked[1] = replace(both, gain=9.5)
+    tried.clear()
+    settled(None, None)
+    assert [(w.variables, w.gain) for w in tried] == [(("i",), 10.0), (("u",), 9.5)]  # once, as it is near the run

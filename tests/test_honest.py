@@ -219,6 +219,26 @@ def test_a_calibration_worse_than_the_data_sheet_goes_back_to_it(steady):
     assert earned(search, plain, Hypothesis(), plain).refused == []
 
 
+def test_beside_something_unexplained_a_calibration_is_no_worse_than_the_data_sheet(steady, monkeypatch):
+    search, plain = steady
+    astray = spoilt(plain, "creep", 3.0)
+    judge = Judge(plain.likelihood)
+    assert claims.no_worse(judge, plain) is plain
+    assert judge.total(claims.no_worse(judge, astray)) == pytest.approx(1.0)
+    monkeypatch.setattr(claims, "calibrated_to_the_run", lambda *given: astray)
+    monkeypatch.setattr(search, "within", search.within)  # which is narrowed
+    kept = claims.held_to_tolerance(search, Claims(Hypothesis(), plain, plain))
+    assert judge.total(kept.calibrated) <= 1.01**2
+
+
+def test_without_time_for_the_gates_a_calibration_is_no_worse_than_the_data_sheet(steady):
+    search, plain = steady
+    assert finding._as_it_runs(search, plain).values["creep"] == plain.values["creep"]
+    far = replace(plain, numbers=plain.numbers + 40.0)
+    back = finding._as_it_runs(search, far)
+    assert back.values["creep"] == search.rig.plant.parameters["creep"].value
+
+
 # -- off zero --------------------------------------------------------------------------------------------------------
 
 

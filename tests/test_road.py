@@ -1,6 +1,7 @@
 """From a plant and its diagnosis to a network: exact integration, named effects as modules, and what is refused."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from greygate.errors import InputError
 from greygate.identify.expert.acting import FILTERS, acting
 from greygate.identify.expert.building import build, corrected_task
 from greygate.identify.expert.decisions import Log
-from greygate.identify.expert.diagnosed import READS, correct
+from greygate.identify.expert.diagnosed import READS, _with_a_place, correct, rig_for
 from greygate.identify.expert.integration import SCHEMES, step
 from greygate.identify.expert.parts import part
 from greygate.identify.expert.refined import refined
@@ -44,6 +45,15 @@ DIAGNOSIS = {
     "parameters": {"mass": {"value": 2.06}, "k_f": {"value": 5.3}, "b": {"value": 24.0}},
 }  # fmt: skip
 SAMPLES, DT = 600, 5e-3
+VALVE = Path(__file__).parents[1] / "machines" / "valve_cylinder" / "valve_hydraulic.toml"
+
+
+def valve_run(plant: Plant) -> Recording:
+    """A recording of the names and units of the valve's; nothing of it is asked."""
+    wave = np.sin(0.05 * np.arange(SAMPLES))
+    sizes = {"v_c": 1.0, "x": 0.05, "p_a": 5e6, "p_b": 5e6}
+    channels = {n: size * (1.5 + wave) for n, size in sizes.items()}
+    return Recording(1e-3, channels, {n: plant.unit(n) for n in sizes})
 
 
 def recorded(plant: Plant, seed: int, dt: float = DT) -> Recording:
@@ -142,6 +152,44 @@ def test_a_linear_step_is_exact_and_a_sum_does_not_leak():
     assert found.own[1].tolist() == [0.0, pytest.approx(decay, rel=1e-14)]
     assert found.first[1, 1] == pytest.approx((1 - decay) / 12.0, rel=1e-12)
     assert found.second[1, 1] == pytest.approx((decay - 1 + 12.0 * h) / (144.0 * h), rel=1e-9)
+
+
+def test_a_pascal_does_not_round_away_what_a_metre_does():
+    """A piston on oil: pressure moves it by 1e-7 a sample, it moves pressure by 1e6; both are exact."""
+    si = np.array([[-20.0, 5e-5], [-1e9, 0.0]])
+    mega = np.array([[1.0, 1e6], [1e-6, 1.0]])  # of an entry, where pressure is in MPa
+    found, alike = step(si, 2e-3), step(si * mega, 2e-3)
+    for one, other in zip(vars(found).values(), vars(alike).values(), strict=True):
+        assert one * mega == pytest.approx(other, rel=1e-9)
+    assert found.own[0, 1] > 0.0
+
+
+def test_values_are_not_refined_further_off_than_they_may(cart, real):
+    run = recorded(real, 8)
+    task = Task.of(cart, [run], (), ())
+    for within in (1.0, 2.0):
+        ((_, found),) = refined(task, cart.parameters, [run], {}, lambda line: None, within)
+        off = [abs(found.plant.parameters[s].value - p.value) / p.reach for s, p in cart.parameters.items()]
+        assert 0.9 * within < max(off) <= within * (1 + 1e-9)
+
+
+def test_effects_that_have_no_place_where_a_signal_is_measured_do_not_end_the_diagnosis():
+    """A network that reads the piston's place has no balance of its motion, in which the table has effects."""
+    plant = Plant.read(VALVE)
+    run = valve_run(plant)
+    task = Task.of(plant, [run], ["x"], ["p_a", "p_b"])
+    offered = _with_a_place(rig_for(task, [run]))
+    assert "supply_droop" in offered
+    assert "constant_load" not in offered
+    assert not any(e.equations == ("motion",) for e in offered.values())
+
+
+def test_what_has_no_name_leaves_the_data_sheet_as_it_is(cart, real):
+    told = {**DIAGNOSIS, "verdict": "unexplained", "effects": []}
+    found = build(cart, {"first": recorded(real, 1)}, {}, diagnosis=told)
+    (said,) = [d for d in found.log.decisions if d.step == "diagnose"]
+    assert said.choice == "the data sheet's values"
+    assert found.rms["corrected"] == found.rms["nominal"]
 
 
 def test_cheaper_schemes_are_tried_first():

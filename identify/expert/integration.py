@@ -51,9 +51,7 @@ class Step:
 def step(a: np.ndarray, h: float) -> Step:
     """own = exp(A h), first = h phi_1(A h), second = h phi_2(A h). a: (n, n), in 1/s; h: s."""
     n = len(a)
-    alike, (size, _) = matrix_balance(
-        a, permute=False, separate=True
-    )  # else a pascal decides what a metre's rounding is
+    alike, (size, _) = matrix_balance(a, permute=False, separate=True)  # else a pascal rounds what a metre does
     whole = np.zeros((3 * n, 3 * n))
     whole[:n, :n], whole[:n, n : 2 * n], whole[n : 2 * n, 2 * n :] = alike * h, np.eye(n), np.eye(n)
     moved, units = expm(whole), size[:, None] / size
