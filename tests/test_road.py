@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
+from greygate.identify.expert import building
 from greygate.identify.expert.acting import FILTERS, acting
 from greygate.identify.expert.building import build, corrected_task
 from greygate.identify.expert.decisions import Log
@@ -118,6 +119,26 @@ def test_a_plant_that_no_step_follows_is_refused_by_its_term(cart):
     told = {**DIAGNOSIS, "verdict": "consistent", "effects": [], "parameters": {}}
     with pytest.raises(InputError, match=r"no network of it: cart.wall turns by .* 0.01 is allowed; record faster"):
         build(stiff, {"first": recorded(stiff, 1)}, {}, diagnosis=told)
+
+
+def test_a_knee_that_no_step_follows_is_softened_within_its_interval_alone(cart, real, monkeypatch):
+    monkeypatch.setattr(building, "best_fit", lambda task, *given: task)  # which would find the knee here
+    monkeypatch.setattr(building, "COARSE", 4e-3)
+
+    def told(**interval):
+        (effect,) = DIAGNOSIS["effects"]
+        sharp = {"f_v": {"value": 20.0}, "f_v_speed": {"value": 3e-4, **interval}}
+        return {**DIAGNOSIS, "effects": [{**effect, "parameters": sharp}]}
+
+    recordings = {"first": recorded(real, 1)}
+    with pytest.raises(InputError, match=r"no network of it: cart\.dry_friction turns by"):
+        build(cart, recordings, {}, diagnosis=told())
+    found = build(cart, recordings, {}, diagnosis=told(ci95=[-9.4e-3, 0.01]))
+    (soft,) = [d for d in found.log.decisions if d.step == "soften"]
+    assert soft.choice == "f_v_speed 0.01"
+    assert "else cart.dry_friction turns by" in soft.reason
+    (scheme,) = [d for d in found.log.decisions if d.about == "integration"]
+    assert "cart.dry_friction turns by" in scheme.reason
 
 
 def test_named_friction_takes_a_fuller_shape_where_the_recording_has_one(cart):

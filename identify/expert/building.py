@@ -96,7 +96,7 @@ def build(
     """
     began = monotonic()
     given = Task.of(plant, [*recordings.values(), *tests.values()], sensors, targets)
-    log, known = Log(), given
+    log, known, knees = Log(), given, {}
     if diagnosis is None:
         diagnosis = diagnosed(given, recordings, bool(tests), min(DIAGNOSING, seconds / 2), log, progress)
     if diagnosis is not None and _drawn(diagnosis):
@@ -104,13 +104,41 @@ def build(
     elif diagnosis is not None:
         found = correct(given, [*recordings.values()], diagnosis)
         known = corrected_task(given, found, sensors, diagnosis, log)
+        knees = found.knees
         within = HELD if diagnosis.get("verdict") in OPEN_VERDICTS else np.inf
         known = best_fit(known, given, recordings, bool(tests), found.own, log, progress, within)
     remains = diagnosis is None or diagnosis.get("verdict") in OPEN_VERDICTS
-    expert = Expert(known, given, recordings, tests, began + seconds, log, progress, remains)
-    network = expert.built()
+
+    def expert_of(task: Task) -> "Expert":
+        return Expert(task, given, recordings, tests, began + seconds, log, progress, remains)
+
+    said = len(log.decisions)
+    try:
+        network = (expert := expert_of(known)).built()
+    except Unfollowed as problem:
+        if (softer := softened(known, knees)) is None:
+            raise
+        del log.decisions[said:]
+        what = ", ".join(f"{s} {softer.plant.parameters[s].value:.4g}" for s in knees)
+        log("soften", known.plant.name, what, f"the end of its interval; else {problem.why}")
+        network = (expert := expert_of(softer)).built()
     progress("training a linear model to compare with")
     return Built(network, expert.log, expert.scores(network), monotonic() - began, diagnosis)
+
+
+class Unfollowed(InputError):
+    """No integration follows the plant. why: which term turns too fast, and by how much it is missed."""
+
+    def __init__(self, plant: str, why: str):
+        super().__init__(f"plant {plant}: no network of it: {why}; record faster, or soften the term")
+        self.why = why
+
+
+def softened(task: Task, knees: Mapping[str, float]) -> Task | None:
+    """The task with what shapes its effects at the upper ends of their intervals; None where none is softer."""
+    known = task.plant.parameters
+    softer = {s: end for s, end in knees.items() if end > known[s].value}
+    return replace(task, plant=task.plant.with_parameters(**softer)) if softer else None
 
 
 def _drawn(diagnosis: Mapping) -> bool:
@@ -377,10 +405,7 @@ class Expert:
         why = f"{term} turns by {turns:.2g} in a sample of {self.task.step:g} s" if term else "no term of it is fast"
         missed = f"it misses the plant's own simulation by {away:.2g} of its motion"
         if not away <= COARSE and not (near and np.isfinite(away)):
-            raise InputError(
-                f"plant {self.task.plant.name}: no network of it: {why}, and with {choices.scheme} {missed}, "
-                f"{COARSE:g} is allowed; record faster, or soften the term"
-            )
+            raise Unfollowed(self.task.plant.name, f"{why}, and with {choices.scheme} {missed}, {COARSE:g} is allowed")
         if not away <= COARSE:
             missed += f", because {', '.join(dict.fromkeys(near))} only come near their terms"
         self.log("join", "integration", str(choices.scheme), f"{why}; {missed}")

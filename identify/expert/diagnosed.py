@@ -26,7 +26,8 @@ READS = "reads"  # entry of a diagnosis that was made for a network: what that n
 class Corrected:
     """plant: with the diagnosed values and terms. filters, readings: as for `Task`.
 
-    said: (place, what became of it, why) of every effect. own: parameter of an effect -> the name of its term.
+    said: (place, what became of it, why) of every effect. own: parameter of an effect -> the name of its term. knees:
+    parameter that shapes an effect -> the upper end of its interval.
     """
 
     plant: Plant
@@ -34,6 +35,7 @@ class Corrected:
     readings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     said: Sequence[tuple[str, str, str]] = ()
     own: Mapping[str, str] = field(default_factory=dict)
+    knees: Mapping[str, float] = field(default_factory=dict)
 
 
 def rig_for(task: Task, recordings: Sequence[Recording], held: Sequence[Recording] = ()) -> Rig:
@@ -136,7 +138,9 @@ def _joined(rig: Rig, model: Model, values: Mapping[str, float], diagnosis: Mapp
         plant = _with(plant, effect, values)
     plant = replace(plant, parameters={s: _known(s, p, values, sure) for s, p in plant.parameters.items()})
     own = {f.symbol: e.key for e in built for f in e.free if e.terms and e.id != "unknown"}
-    return Corrected(plant, filters, readings, said, own)
+    shaped = [f.symbol for e in built for f in e.free if f.symbol in own and f.shape]
+    knees = {s: p.value + p.reach for s, p in plant.parameters.items() if s in shaped}
+    return Corrected(plant, filters, readings, said, own, knees)
 
 
 def _with(plant: Plant, effect: Effect, values: Mapping[str, float]) -> Plant:
