@@ -96,7 +96,8 @@ def build(
     """
     began = monotonic()
     given = Task.of(plant, [*recordings.values(), *tests.values()], sensors, targets)
-    log, known, knees = Log(), given, {}
+    log, known = Log(), given
+    knees: Mapping[str, float] = {}
     if diagnosis is None:
         diagnosis = diagnosed(given, recordings, bool(tests), min(DIAGNOSING, seconds / 2), log, progress)
     if diagnosis is not None and _drawn(diagnosis):
