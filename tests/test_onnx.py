@@ -318,14 +318,88 @@ def outside(where):
     return model
 
 
-@pytest.mark.parametrize(
-    "where", ["an initializer", "a Constant", "a function", "a body", "an attribute", "a sparse one"]
-)
-def test_numbers_in_another_file_are_not_read(where, tmp_path, monkeypatch):
+PLACES_OF_NUMBERS = ["an initializer", "a Constant", "a function", "a body", "an attribute"]
+
+
+@pytest.mark.parametrize("where", PLACES_OF_NUMBERS[:-1])
+def test_numbers_in_a_file_beside_the_model_are_read(where, tmp_path):
+    (tmp_path / "private.bin").write_bytes(np.float32([1, 2, 3]).tobytes())
+    model = outside(where)
+    if where == "a function":
+        model.graph.output[0].CopyFrom(helper.make_tensor_value_info("y", TensorProto.FLOAT, [3]))
+    network = from_onnx(saved(model, tmp_path))
+    found = network.run({p.name: np.zeros(1) for p in network.inputs})
+    assert [float(found[p.name][0]) for p in network.outputs] == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("where", [*PLACES_OF_NUMBERS, "a sparse one"])
+def test_numbers_elsewhere_are_not_read(where, tmp_path, monkeypatch):
+    (tmp_path / "model").mkdir()
     monkeypatch.chdir(tmp_path)
     (tmp_path / "private.bin").write_bytes(np.float32([1, 2, 3]).tobytes())
-    said = refusal(outside(where), tmp_path)
-    assert "is sparse" in said if where == "a sparse one" else "tensor 'w' are in another file" in said
+    model = outside(where)
+    said = refusal(model, tmp_path / "model")
+    assert "is sparse" in said if where == "a sparse one" else "'private.bin', which is missing; copy it beside" in said
+    if where != "a sparse one":
+        (tmp_path / "model" / "private.bin").symlink_to(tmp_path / "private.bin")
+        assert "'private.bin', which is not beside the model" in refusal(model, tmp_path / "model")
+
+
+@pytest.mark.parametrize(
+    ("told", "why"),
+    [
+        ({"location": "../private.bin"}, "which is not beside the model"),
+        ({"location": "/etc/hostname"}, "which is not beside the model"),
+        ({"location": "."}, "which is missing"),
+        ({"location": "private.bin", "length": "13"}, "which ends before them"),
+        ({"location": "private.bin", "offset": "1e3"}, "which is no place in a file"),
+        ({"location": "private.bin", "offset": "-4"}, "which is not beside the model"),
+        ({"location": "private.bin", "length": "99999999"}, "99999999 bytes; all together may have 16 MiB"),
+    ],
+)
+def test_numbers_beside_a_model_must_be_where_it_says(told, why, tmp_path):
+    (tmp_path / "model").mkdir()
+    for folder in (tmp_path, tmp_path / "model"):
+        (folder / "private.bin").write_bytes(np.float32([1, 2, 3]).tobytes())
+    model = outside("an initializer")
+    del model.graph.initializer[0].external_data[:]
+    for key, value in told.items():
+        entry = model.graph.initializer[0].external_data.add()
+        entry.key, entry.value = key, value
+    assert why in refusal(model, tmp_path / "model")
+
+
+OLD = (6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16)
+
+
+@pytest.mark.parametrize("opset", OLD)
+def test_a_model_of_an_old_opset_answers_as_it_did_and_a_line_says_so(opset, tmp_path, capfd):
+    gemm = {"broadcast": 1} if opset < 7 else {}
+    nodes = [
+        helper.make_node("Gemm", ["x", "w", "b"], ["g"], transB=1, **gemm),
+        helper.make_node("Relu", ["g"], ["r"]),
+        helper.make_node("Gemm", ["r", "v", "c"], ["y"], transB=1, **gemm),
+    ]
+    model = built(nodes, {"x": [1, 3]}, ["y"], {"w": f(4, 3), "b": f(4), "v": f(2, 4), "c": f(2)}, opset)
+    model.ir_version = 3
+    model.graph.input.extend(
+        helper.make_tensor_value_info(t.name, t.data_type, t.dims) for t in model.graph.initializer
+    )
+    path = saved(model, tmp_path)
+    network = from_onnx(path)
+    assert f"{path}: opset {opset}, read as 17 by onnx's own converter" in capfd.readouterr().err
+    w, b, v, c = (numpy_helper.to_array(t).astype(float) for t in model.graph.initializer)
+    x = np.random.default_rng(0).normal(size=(5, 3))
+    got = network.run({p.name: x[:, k] for k, p in enumerate(network.inputs)})
+    wanted = np.maximum(x @ w.T + b, 0) @ v.T + c
+    assert np.abs(np.column_stack(list(got.values())) - wanted).max() < 1e-9
+
+
+def test_an_old_operator_that_has_no_counterpart_is_refused_in_one_line(tmp_path):
+    model = built([helper.make_node("Tile", ["x", "t", "a"], ["y"])], {"x": [1, 3], "t": [1], "a": [1]}, ["y"], opset=5)
+    said = refusal(model, tmp_path)
+    assert said.startswith(f"{tmp_path / 'model.onnx'}: cannot be read (")
+    assert said.endswith("opset 5 is converted to 17 first: export it in 17")
 
 
 def added(*nodes, **fixed):

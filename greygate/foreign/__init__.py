@@ -31,6 +31,17 @@ def read_mat(path: Path | str) -> dict[str, Any]:
     return apart(Path(path), "mat", "greygate.foreign.mat")
 
 
+def converted(data: bytes, opset: int, said: Path) -> bytes:
+    """An ONNX model in a newer opset, by onnx's own converter. Raises InputError, with the path that is `said`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "old.onnx"
+        path.write_bytes(data)
+        try:
+            return apart(path, f"{opset}", "greygate.foreign.opset")["model"].tobytes()
+        except InputError as error:
+            raise InputError(str(error).replace(str(path), str(said))) from None
+
+
 def apart(path: Path, kind: str, module: str) -> dict[str, Any]:
     """What a reader of `module` (`child.served`) finds in a file, in another process.
 

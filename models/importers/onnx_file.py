@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from greygate.errors import InputError, one_line, shown
+from greygate.foreign import converted
 from greygate.models.importers.builder import word
 from greygate.models.network import Port
+from greygate.progress import once
 
 if TYPE_CHECKING:
     import onnx
 
-OLDEST = 17  # opset
+OLDEST = 17  # opset; an older model is written in it first
 LARGEST = 16 << 20  # bytes of a file: four million weights
 FIELDS = 1 << 19  # of a file: each may become an object of some hundred bytes
 NODES = 1_000  # operations, those inside functions each time that they are called
@@ -27,7 +29,8 @@ QONNX = ("qonnx.custom_op.general", "finn.custom_op.general", "onnx.brevitas")
 def read(path: Path) -> "onnx.ModelProto":
     """The model of a file, its functions written out where they are called.
 
-    Raises InputError for what is no model, is larger than the limits, has another opset, or has numbers elsewhere.
+    An opset below OLDEST is converted, and a line says so; numbers in files beside it are read. Raises InputError for
+    what is no model, is larger than the limits, is newer than onnx, or has numbers elsewhere.
     """
     try:
         import onnx
@@ -45,7 +48,7 @@ def read(path: Path) -> "onnx.ModelProto":
         raise InputError(f"{path}: has more than {FIELDS} parts; a network here has a few hundred weights")
     try:
         model = onnx.load_model_from_string(data)
-        _self_contained(model, path)
+        _gathered(model, path)
         _declare(model)
         onnx.checker.check_model(model)
     except InputError:
@@ -54,11 +57,21 @@ def read(path: Path) -> "onnx.ModelProto":
         raise InputError(f"{path}: is no valid ONNX model ({one_line(' '.join(str(error).split()))[:200]})") from None
     newest = onnx.defs.onnx_opset_version()
     opset = next((o.version for o in model.opset_import if o.domain in STANDARD), OLDEST)
-    if opset < OLDEST:
-        raise InputError(f"{path}: opset {opset}; convert it to {OLDEST} or newer (onnx.version_converter)")
     if opset > newest:
         raise InputError(f"{path}: opset {opset}; the onnx that is installed knows {newest}: pip install -U onnx")
-    return _written_out(model, path)
+    return _written_out(model if opset >= OLDEST else _newer(model, opset, path), path)
+
+
+def _newer(model: "onnx.ModelProto", opset: int, path: Path) -> "onnx.ModelProto":
+    """The model in opset OLDEST, by onnx's own converter."""
+    from onnx import load_model_from_string
+
+    try:
+        made = load_model_from_string(converted(model.SerializeToString(), OLDEST, path))
+    except InputError as error:
+        raise InputError(f"{error}; opset {opset} is converted to {OLDEST} first: export it in {OLDEST}") from None
+    once(f"{path}: opset {opset}, read as {OLDEST} by onnx's own converter")
+    return made
 
 
 def _fits(data: bytes, kind: Any) -> bool:
@@ -110,22 +123,51 @@ def messages(message: Any) -> Iterator[Any]:
                 waiting += inner
 
 
-def _self_contained(model: "onnx.ModelProto", path: Path) -> None:
-    """Refuse tensors whose numbers are in another file, that are sparse, or above the limit, wherever they are."""
+def _gathered(model: "onnx.ModelProto", path: Path) -> None:
+    """Put numbers of files beside the model into it; refuse tensors that are sparse or above the limit."""
     import onnx
 
+    left = LARGEST
     for found in messages(model):
         if isinstance(found, onnx.SparseTensorProto):
             raise InputError(f"{path}: tensor {shown(found.values.name)} is sparse; save it dense")
         if not isinstance(found, onnx.TensorProto):
             continue
-        if found.external_data or found.data_location == onnx.TensorProto.EXTERNAL:
-            raise InputError(
-                f"{path}: the numbers of tensor {shown(found.name)} are in another file; save the model in one file "
-                "(torch.onnx.export with external_data=False)"
-            )
         if (count := prod(max(d, 1) for d in found.dims)) > ELEMENTS:
             raise InputError(f"{path}: tensor {shown(found.name)} has {count} numbers; at most {ELEMENTS} are read")
+        if found.external_data or found.data_location == onnx.TensorProto.EXTERNAL:
+            data = _beside(found, path, left)
+            left -= len(data)
+            found.ClearField("external_data")
+            found.data_location, found.raw_data = onnx.TensorProto.DEFAULT, data
+
+
+def _beside(tensor: Any, path: Path, most: int) -> bytes:
+    """The bytes of a tensor in a file in the folder of the model, or below. Raises InputError for any other place."""
+    told = {entry.key: entry.value for entry in tensor.external_data}
+    what = f"{path}: tensor {shown(tensor.name)}: its numbers are in {shown(told.get('location', ''))}"
+    folder = path.parent.resolve()
+    try:
+        file = (folder / told.get("location", "")).resolve()
+        start, length = int(told.get("offset") or 0), int(told.get("length") or -1)
+    except (ValueError, OSError, RuntimeError):
+        raise InputError(f"{what}, which is no place in a file; save the model in one file") from None
+    if not file.is_relative_to(folder) or start < 0:
+        raise InputError(f"{what}, which is not beside the model; save the model in one file")
+    if not file.is_file():
+        raise InputError(f"{what}, which is missing; copy it beside the model, or save the model in one file")
+    length = file.stat().st_size - start if length < 0 else length
+    if length > most:
+        raise InputError(f"{what}, {length} bytes; all together may have {LARGEST >> 20} MiB")
+    try:
+        with file.open("rb") as opened:
+            opened.seek(start)
+            data = opened.read(length)
+    except OSError as error:
+        raise InputError(f"{what}: {error.strerror or error}; check that file") from None
+    if len(data) != length:
+        raise InputError(f"{what}, which ends before them; copy it once more")
+    return data
 
 
 def _declare(model: "onnx.ModelProto") -> None:

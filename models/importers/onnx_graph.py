@@ -1,4 +1,4 @@
-"""From an ONNX graph (opset 17 and newer): one step of it, or a recurrent operator along a sequence.
+"""From an ONNX graph: one step of it, or a recurrent operator along a sequence.
 
 The leading axes of an input (batch, steps) are taken as 1: the network makes one step at a time, and the state of RNN,
 GRU, LSTM and Scan goes on from step to step. What comes out is compared with ONNX's own reference before it is given
