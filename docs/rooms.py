@@ -32,6 +32,7 @@ GROUND = (  # modules of greygate/ on which all stands
     "plain",
     "progress",
     "reading",
+    "system",
     "version",
 )
 FOLDERS = ("greygate", *(name for layer in LAYERS[1:-1] for name in layer))

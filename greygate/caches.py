@@ -1,11 +1,12 @@
 """Where compiled code is kept: what lies there is run, so the folder is the user's own and nobody else can write it."""
 
 import os
-import stat
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+
+from greygate.system import private, user, writable
 
 NUMBA = "NUMBA_CACHE_DIR"  # where numba keeps what it compiles, instead of beside the source
 
@@ -19,7 +20,7 @@ def keep_compiled() -> None:
     """Let numba keep what it compiles in `folder` where the package cannot be written and the user names no place."""
     beside = Path(__file__).parent
     tree = [place for place in (beside, beside / "__pycache__") if place.exists()]
-    if os.environ.get(NUMBA) or all(os.access(place, os.W_OK, effective_ids=True) for place in tree):
+    if os.environ.get(NUMBA) or all(map(writable, tree)):
         return
     if (place := folder()) is not None:
         os.environ[NUMBA] = str(place / "numba")
@@ -33,7 +34,7 @@ def _places() -> Iterator[Path]:
     import tempfile
 
     with suppress(FileNotFoundError):  # nothing temporary can be written
-        yield Path(tempfile.gettempdir()) / f"greygate-{os.getuid()}"
+        yield Path(tempfile.gettempdir()) / f"greygate-{user()}"
 
 
 def _private(place: Path) -> bool:
@@ -41,8 +42,6 @@ def _private(place: Path) -> bool:
     try:
         place.parent.mkdir(exist_ok=True)
         place.mkdir(mode=0o700, exist_ok=True)
-        found = place.lstat()
+        return private(place)
     except OSError:
         return False
-    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
-    return ours and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and os.access(place, os.W_OK, effective_ids=True)

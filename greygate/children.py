@@ -6,10 +6,8 @@ started it, together with what it started in turn, even if that was killed.
 
 import os
 import shutil
-import signal
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from functools import partial
@@ -23,45 +21,14 @@ from subprocess import TimeoutExpired as TimeoutExpired
 from threading import Thread
 from typing import Any, Final, Literal
 
+from greygate.system import Tree, outlived
+
 SAFE = "PYTHONSAFEPATH"  # if it is set, Python puts neither the current folder nor that of a script on its path
 SEARCHED = "PYTHONPATH"
-WATCH = 0.5  # s between two looks of a worker at its parent
 KILLED = "a process of the work was killed twice, for lack of memory perhaps; give fewer --jobs, or free memory"
 DIED: Final = object()  # instead of the result of a task whose process was killed twice
 
-# Runs a command beside a pipe whose other end its starter alone holds: where that closes, the whole group is killed.
-# It ends as the command ends, by the same signal if that was one.
-SUPERVISOR = """
-import os, resource, signal, sys
-pipe, command = int(sys.argv[1]), sys.argv[2:]
-def ended(*_):
-    pid, status = os.waitpid(child, os.WNOHANG)
-    if pid:
-        code = os.waitstatus_to_exitcode(status)
-        if code < 0:
-            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-            if -code != signal.SIGKILL:
-                signal.signal(-code, signal.SIG_DFL)
-            os.kill(os.getpid(), -code)
-        os._exit(code)
-signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCHLD])
-signal.signal(signal.SIGCHLD, ended)
-try:
-    child = os.posix_spawn(
-        command[0], command, os.environ, file_actions=[(os.POSIX_SPAWN_CLOSE, pipe)], setsigmask=[],
-        setsigdef=[signal.SIGPIPE, signal.SIGXFSZ, signal.SIGINT],
-    )
-except OSError as error:
-    sys.exit(f"{command[0]}: {error.strerror}")
-nothing = os.open(os.devnull, os.O_RDWR)
-for own in range(3):
-    os.dup2(nothing, own)
-signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGCHLD])
-os.read(pipe, 1)
-os.killpg(0, signal.SIGKILL)
-"""
-
-_running: set[Popen] = set()
+_running: dict[Popen, Tree] = {}
 
 
 def python(*words: str) -> list[str]:
@@ -90,26 +57,22 @@ def started(
     program = shutil.which(command[0], path=variables.get("PATH"))
     if program is None:
         raise FileNotFoundError(2, "no such program", command[0])
-    read, held = os.pipe()
+    options = {"cwd": cwd, "env": variables, "stdin": stdin, "stdout": stdout, "stderr": stderr}
+    tree = Tree(
+        [os.path.abspath(program), *command[1:]], {**options, "text": True, "encoding": "utf-8", "errors": "replace"}
+    )
+    process = tree.process
+    _running[process] = tree
     try:
-        supervised = [sys.executable, "-I", "-S", "-c", SUPERVISOR, str(read), os.path.abspath(program), *command[1:]]
-        process = Popen(
-            supervised, cwd=cwd, env=variables, stdin=stdin, stdout=stdout, stderr=stderr, text=True, errors="replace",
-            pass_fds=[read], start_new_session=True,
-        )  # fmt: skip
-        _running.add(process)
-        try:
-            yield process
-        finally:
-            kill(process)
-            for stream in filter(None, (process.stdin, process.stdout, process.stderr)):
-                with suppress(OSError):
-                    stream.close()
-            process.wait()
-            _running.discard(process)
+        yield process
     finally:
-        os.close(read)
-        os.close(held)
+        tree.kill()
+        for stream in filter(None, (process.stdin, process.stdout, process.stderr)):
+            with suppress(OSError):
+                stream.close()
+        process.wait()
+        del _running[process]
+        tree.close()
 
 
 def ran(
@@ -136,13 +99,13 @@ def stop() -> None:
 
 def kill(process: Popen) -> None:
     """Kill a process that was `started`, with all that it started."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
+    if (tree := _running.get(process)) is not None:
+        tree.kill()
 
 
 def _safe(variables: Mapping[str, str]) -> dict[str, str]:
     """The variables, with which Python imports nothing from the current folder."""
-    found = dict(variables) | {SAFE: "1"}
+    found = dict(variables) | {SAFE: "1", "PYTHONIOENCODING": "utf-8"}
     if SEARCHED in found:  # an empty entry is the current folder
         found[SEARCHED] = os.pathsep.join(filter(os.path.isabs, found[SEARCHED].split(os.pathsep)))
     return found
@@ -160,12 +123,13 @@ def workers(jobs: int | None, tasks: Iterable[Callable[[], Any]], in_order: bool
     left: dict[int, Callable[[], Any]] = dict(enumerate(tasks))
     found: dict[int, Any] = {}
     after, suspected = 0, list[int]()
-    with tempfile.NamedTemporaryFile(prefix="greygate-") as begun, _safely():
+    with tempfile.TemporaryDirectory(prefix="greygate-") as place_of, _safely():
+        begun = Path(place_of, "begun")
         while left:
             alone = suspected.pop(0) if suspected else None
             now = left if alone is None else {alone: left[alone]}
-            begun.truncate(0)
-            with closing(_passed(jobs, {k: partial(_noted, begun.name, k, task) for k, task in now.items()})) as passed:
+            begun.write_bytes(b"")
+            with closing(_passed(jobs, {k: partial(_noted, str(begun), k, task) for k, task in now.items()})) as passed:
                 while True:
                     try:
                         place, result = next(passed)
@@ -173,7 +137,7 @@ def workers(jobs: int | None, tasks: Iterable[Callable[[], Any]], in_order: bool
                         break
                     except _broken():
                         if alone is None:
-                            noted = {int(line) for line in Path(begun.name).read_text().split()}
+                            noted = {int(line) for line in begun.read_text(encoding="ascii").split()}
                             suspected = [k for k in left if k in noted] or list(left)
                             break
                         place, result = alone, DIED
@@ -226,8 +190,7 @@ def follow(parent: int) -> None:
     """End this process when its parent has ended, however that was."""
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(WATCH)
+        outlived(parent)
         os._exit(1)
 
     Thread(target=watch, daemon=True).start()

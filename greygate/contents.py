@@ -7,6 +7,7 @@ from io import BufferedIOBase
 from pathlib import Path
 
 from greygate.errors import InputError
+from greygate.system import UNBLOCKED
 
 CHUNK = 1 << 20  # bytes read at a time
 LARGEST = 1 << 26  # bytes: a hundred times the largest file that greygate writes, except recordings
@@ -17,7 +18,7 @@ def contents(path: Path | str, most: int = LARGEST) -> bytes:
 
     Raises OSError for a folder, for a pipe or a device, which may never end, and for more than `most` bytes.
     """
-    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+    with open(os.open(path, os.O_RDONLY | UNBLOCKED), "rb") as file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "is not a plain file", str(path))

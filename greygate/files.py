@@ -12,9 +12,7 @@ A folder is greygate's only if its manifest.json says so. A file that the manife
 since, is never removed. Every OSError is raised from here as an InputError.
 """
 
-import ctypes
 import errno
-import fcntl
 import hashlib
 import json
 import os
@@ -32,6 +30,7 @@ from greygate.contents import contents
 from greygate.errors import InputError, shown
 from greygate.plain import Hash
 from greygate.reading import line, named, read_json, table, whole
+from greygate.system import exchange, release, sync, taken
 from greygate.version import __version__
 
 MANIFEST = "manifest.json"
@@ -40,8 +39,6 @@ PATIENCE = 5.0  # s that a writer or reader of files waits for another one, whic
 ROOM = 1 << 20  # bytes: where a disk has less left, what fails on it is said to fail for lack of room
 NAMED = 3  # files that a refusal names
 OURS = re.compile(r"(.*/)?\.[^/]+\.greygate-(new|old|lock|commit)")
-LACKING = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)  # the file system does not offer the operation
-AT_FDCWD, RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
 _staged: set[Path] = set()  # folders being filled: files in them need no replacing of their own
 
@@ -89,17 +86,17 @@ def replacing_all(paths: Sequence[Path | str], durable: bool = True) -> Iterator
                 yield new
                 written = [p for p in new if p.exists()]
                 for path in written if durable else ():
-                    _sync(path)
+                    sync(path)
                 if len(written) > 1:
                     commit.touch()
                     if durable:
-                        _sync(commit.parent)
+                        sync(commit.parent)
                     _finish(files)
                 for path, final in zip(new, files, strict=True):
                     if path in written and len(written) == 1:
                         path.replace(final)
                 if durable:
-                    _sync(commit.parent)
+                    sync(commit.parent)
             finally:
                 for path in new if not commit.exists() else ():
                     with suppress(OSError):
@@ -159,7 +156,7 @@ def replacing_folder(path: Path | str, kind: str, later: str = "(?!)") -> Iterat
             write_manifest(new, kind)
             for folder, _, names in os.walk(new):
                 for name in (*names, "."):
-                    _sync(Path(folder, name))
+                    sync(Path(folder, name))
             replaceable(path, kind, later)  # once more: the block may have taken hours
             _put(new, path, kind, later)
         finally:
@@ -188,7 +185,7 @@ def settle_folder(path: Path | str, kind: str, later: str = "(?!)", held: bool =
             replaceable(path, kind, later)
             path.rename(old)
         new.rename(path)
-        _sync(path.parent)
+        sync(path.parent)
     commit.unlink(missing_ok=True)
     shutil.rmtree(old, ignore_errors=True)
 
@@ -220,8 +217,7 @@ def scratch() -> Iterator[Path]:
     try:
         yield Path(place)
     except Exception as error:
-        room = os.statvfs(place)
-        left = room.f_bavail * room.f_frsize
+        left = shutil.disk_usage(place).free
         if left < ROOM or getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT):
             raise InputError(f"{_temporary(f'{Path(place).parent} has {left >> 10} kB left')} ({error})") from error
         raise
@@ -252,38 +248,14 @@ def locked(path: Path | str, patience: float = 0.0) -> Iterator[None]:
     """
     path = Path(path)
     lock, until = _beside(path, "lock"), time.monotonic() + patience
-    while (handle := _taken(lock)) is None:
+    while (handle := taken(lock)) is None:
         if time.monotonic() >= until:
             raise InputError(f"{path}: another greygate is writing it; wait until it has finished")
         time.sleep(0.01)
     try:
         yield
     finally:
-        with suppress(OSError):
-            lock.unlink(missing_ok=True)
-        os.close(handle)
-
-
-def _taken(lock: Path) -> int | None:
-    """Handle of the locked file, which still has its name then; None if another process holds the lock."""
-    while True:
-        # opened for writing, since NFS locks only such files; O_NONBLOCK, so that a pipe of that name cannot block
-        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.path.samestat(os.fstat(handle), os.stat(lock)):
-                return handle
-        except FileNotFoundError:  # its holder has ended and removed it
-            pass
-        except BlockingIOError:
-            os.close(handle)
-            return None
-        except OSError as error:
-            if error.errno in LACKING:
-                return handle
-            os.close(handle)
-            raise
-        os.close(handle)
+        release(handle, lock)
 
 
 def manifest(folder: Path | str, kind: str) -> dict[str, str]:
@@ -400,24 +372,11 @@ def _put(new: Path, path: Path, kind: str, later: str) -> None:
     """Give the filled folder its name; the folder that had the name is then called `new`, or is removed."""
     if not path.exists() or not any(path.iterdir()):
         new.rename(path)
-    elif not _exchange(new, path):
+    elif not exchange(new, path):
         _beside(path, "commit").touch()
-        _sync(path.parent)
+        sync(path.parent)
         settle_folder(path, kind, later, held=True)
-    _sync(path.parent)
-
-
-def _exchange(one: Path, other: Path) -> bool:
-    """Swap two names in one step; False if the system or the file system cannot do that."""
-    swap = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
-    if swap is None:
-        return False
-    if swap(AT_FDCWD, os.fsencode(one), AT_FDCWD, os.fsencode(other), RENAME_EXCHANGE) == 0:
-        return True
-    code = ctypes.get_errno()
-    if code in LACKING:
-        return False
-    raise OSError(code, os.strerror(code), str(other))
+    sync(path.parent)
 
 
 def _finish(paths: Sequence[Path]) -> None:
@@ -428,20 +387,8 @@ def _finish(paths: Sequence[Path]) -> None:
     for path in paths:
         if (new := _beside(path, "new")).exists():
             new.replace(path)
-    _sync(commit.parent)
+    sync(commit.parent)
     commit.unlink(missing_ok=True)
-
-
-def _sync(path: Path) -> None:
-    """Sync a file or folder to the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    except OSError as error:
-        if error.errno not in LACKING:
-            raise
-    finally:
-        os.close(handle)
 
 
 def _beside(path: Path, what: str) -> Path:

@@ -5,7 +5,6 @@ The very first call of a tool compiles it, which takes over a minute.
 
 import math
 import re
-import signal
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -15,11 +14,17 @@ from greygate.progress import Progress, silent
 
 STEP = re.compile(r"(?:[\d.]+ (?:Executing )?|Info: )(\S.*?)\.?$")  # a line of a log that says what a tool does now
 SHOWN = 90  # characters of such a line
-RUN = """
-import resource, sys
+LATE = 124  # exit code of a tool whose time is over
+LOOK = 0.1  # s between two looks at the time that it took
+RUN = f"""
+import os, sys, threading, time
 limit, module, function = sys.argv[1:4]
+def watch():
+    while time.process_time() < float(limit):
+        time.sleep({LOOK})
+    os._exit({LATE})
 if limit:
-    resource.setrlimit(resource.RLIMIT_CPU, (int(limit), resource.RLIM_INFINITY))
+    threading.Thread(target=watch, daemon=True).start()
 sys.exit(getattr(__import__(module), function)(sys.argv[4:]))
 """
 
@@ -49,7 +54,7 @@ def run_tool(
             if found := STEP.match(line):
                 progress(f"{module.removeprefix('yowasp_')}: {found[1][:SHOWN]}")
         code = tool.wait()
-    if code == -signal.SIGXCPU:
+    if code == LATE:
         raise TimeoutError(f"{module}: not done in {limit:g} s")
     if code:
         said = [line.strip() for line in lines if line.strip()] or ["it does not say why"]

@@ -405,12 +405,12 @@ def run_logged(command: list[str], log: Path, environment: dict[str, str], where
     """Run a tool in a folder with its output in a file; InputError with the last line of that if the tool fails."""
     with (
         writing(log),
-        log.open("w") as out,
+        log.open("w", encoding="utf-8") as out,
         children.started(command, cwd=where, env=environment, stdout=out, stderr=children.STDOUT) as tool,
     ):
         code = tool.wait()
     if code:
-        last = (log.read_text(errors="replace").strip().splitlines() or ["no word"])[-1]
+        last = (log.read_text(encoding="utf-8", errors="replace").strip().splitlines() or ["no word"])[-1]
         raise InputError(f"{log}: {Path(command[0]).name} failed ({code}): {last}")
 
 

@@ -7,7 +7,6 @@ import builtins
 import contextlib
 import ctypes
 import errno
-import fcntl
 import io
 import json
 import os
@@ -18,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from greygate import cli, files
+from greygate import cli, files, system
 
 KILLED = 99
 LEAVING = ("unlink", "remove", "rmdir", "flock")  # after which a name may be left that a rerun removes
@@ -75,8 +74,8 @@ class Shim:
         os.fsync = lambda handle: None  # slow, and a kill of the process alone loses nothing that it wrote
         for name in ("mkdir", "rmdir", "unlink", "remove", "rename", "replace", "chmod", "fsync"):
             self.wrapped(os, name)
-        self.wrapped(fcntl, "flock")
-        self.wrapped(files, "_exchange")
+        self.wrapped(system.fcntl, "flock")
+        self.wrapped(files, "exchange")
         opened, made = io.open, os.open
 
         def open_file(path, mode="r", *arguments, **options):
@@ -161,7 +160,7 @@ def _run(arguments: list, shim: Shim, into: int, before: Callable[[], None]) -> 
 
 def without_exchange() -> None:
     """As on a system or a file system that cannot swap two names."""
-    files._exchange = lambda one, other: False
+    files.exchange = lambda one, other: False
 
 
 def libc_has_exchange() -> bool:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from networks import delay_line
 
-from greygate import files
+from greygate import files, system
 from greygate.errors import InputError
 from greygate.files import locked, manifest, read_all, replacing, replacing_all, replacing_folder, write_manifest
 
@@ -274,7 +274,7 @@ def test_a_disk_that_is_full_is_one_line_and_the_old_build_stays(tmp_path):
 
 
 def test_without_the_exchange_of_names_a_folder_is_replaced_all_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "_exchange", lambda one, other: False)
+    monkeypatch.setattr(files, "exchange", lambda one, other: False)
     put(tmp_path / "b", "old")
     put(tmp_path / "b")
     assert (tmp_path / "b" / "deep" / "a.txt").read_text() == "new"
@@ -284,9 +284,9 @@ def test_without_the_exchange_of_names_a_folder_is_replaced_all_the_same(tmp_pat
 def test_a_file_system_that_cannot_exchange_says_so(tmp_path, monkeypatch):
     (tmp_path / "a").mkdir()
     with pytest.raises(OSError, match="No such file"):
-        files._exchange(tmp_path / "a", tmp_path / "none")
-    monkeypatch.setattr(files.ctypes, "CDLL", lambda *a, **o: object())
-    assert files._exchange(tmp_path / "a", tmp_path / "none") is False
+        files.exchange(tmp_path / "a", tmp_path / "none")
+    monkeypatch.setattr(system.ctypes, "CDLL", lambda *a, **o: object())
+    assert files.exchange(tmp_path / "a", tmp_path / "none") is False
 
 
 def test_a_manifest_made_anew_lists_what_is_there(tmp_path):

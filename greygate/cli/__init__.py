@@ -29,6 +29,7 @@ from greygate.cli import (
 from greygate.cli.grammar import Commands
 from greygate.cli.terminal import say
 from greygate.errors import InputError
+from greygate.system import again
 
 INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, as shells give them
 AGAIN_S = 0.05  # so long a signal that was ignored waits: longer than a callback, shorter than one notices
@@ -126,9 +127,9 @@ def _ignored(error: Any) -> None:
     else:
         if number == signal.SIGTERM:
             signal.signal(number, _terminated)
-        again = Timer(AGAIN_S, signal.pthread_kill, [get_ident(), number])
-        again.daemon = True
-        again.start()
+        later = Timer(AGAIN_S, again, [get_ident(), number])
+        later.daemon = True
+        later.start()
 
 
 def _mistake(error: Exception) -> str | None:

@@ -77,7 +77,7 @@ def doctor(as_json: Json = False) -> None:
     rows = [
         {
             "name": tool.name,
-            "version": tool.version or ("MISSING" if tool.needed else "not installed"),
+            "version": tool.version or ("MISSING" if tool.needed else "not here"),
             "for": tool.needed_by,
             "remedy": "" if tool.version else tool.remedy,
         }

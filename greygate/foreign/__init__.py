@@ -1,12 +1,11 @@
 """Reads the binary files of other tools in a process of its own: a damaged file may crash their libraries.
 
 What a file unpacks to is bounded by its size, and checked before it is unpacked; the process has limits of memory and
-computing; while it reads, it runs no code, starts no program and opens no other file (`child`).
+computing, or the file is refused; while it reads, it runs no code, starts no program and opens no other file (`child`).
 A variable becomes a dictionary (struct), an array of objects (cells), a text, or an array of numbers.
 """
 
 import json
-import resource
 import stat
 import tempfile
 from pathlib import Path
@@ -16,7 +15,9 @@ import numpy as np
 
 from greygate import children
 from greygate.errors import InputError, one_line
-from greygate.foreign.child import ARRAY, CELLS, CPU, FULL, MEMORY, REFUSED, seconds
+from greygate.foreign.child import ARRAY, CELLS, FULL, MEMORY, REFUSED, UNBOUND, UNBOUND_WORD, UNLIMITED, seconds
+from greygate.progress import once
+from greygate.system import OUT_OF_TIME, memory_limit
 
 LARGEST = 2 << 30  # bytes of a file
 WAITS = 600.0  # s that reading may take in all, on a busy machine or a slow disk
@@ -76,8 +77,15 @@ def _run(path: Path, words: list[str], most: float) -> None:
     why = one_line(" ".join(done.stdout.split()))[:300]
     match done.returncode:
         case 0:
+            if why == UNBOUND_WORD:
+                once(f"{path}: read without limits of memory and computing, as {UNLIMITED} says")
             return
-        case _ if done.returncode == CPU:
+        case _ if done.returncode == UNBOUND:
+            raise InputError(
+                f"{path}: this system bounds no memory of a process, and a damaged or forged file may take all "
+                f"of it; save the recording as CSV, or set {UNLIMITED}=1 if you trust the file"
+            )
+        case _ if done.returncode == OUT_OF_TIME:
             raise InputError(f"{path}: is not read within {most:.0f} s of computing; save less of it")
         case _ if done.returncode == FULL:
             where = tempfile.gettempdir()
@@ -86,8 +94,7 @@ def _run(path: Path, words: list[str], most: float) -> None:
             raise InputError(f"{path}: needs more memory than {why}; save less of it, or without compression")
         case _ if done.returncode == REFUSED:
             raise InputError(f"{path}: {why}")
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if not why and limit != resource.RLIM_INFINITY:
+    if not why and (limit := memory_limit()) is not None:
         raise InputError(
             f"{path}: is not read within {limit >> 20} MiB of memory, the limit here (ulimit -v); raise it"
         )

@@ -3,8 +3,6 @@
 import errno
 import json
 import os
-import resource
-import signal
 import sys
 import tempfile
 import warnings
@@ -15,6 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from greygate.errors import InputError, shown
+from greygate.system import limit, memory_limit
 
 RATIO = 50  # times its size that a file may unpack to; recordings of measured signals pack 2 to 20 times
 FLOOR = 128 << 20  # bytes that any file may unpack to, however small: 1.6 million samples of ten channels
@@ -27,8 +26,9 @@ SECONDS = 6.0  # of computing that reading may take, and
 SECONDS_MB = 3.0  # more for each megabyte of the file
 DEEPEST = 20  # of structs and cells in one another
 ARRAY, CELLS, STRUCT = "array", "cells", "struct"  # how they are told from a text in JSON
-DAMAGED, REFUSED, MEMORY, FULL = 1, 3, 4, 5  # exit codes
-CPU = -signal.SIGXCPU  # exit code of a process that computed for too long
+DAMAGED, REFUSED, MEMORY, FULL, UNBOUND = 1, 3, 4, 5, 6  # exit codes
+UNLIMITED = "GREYGATE_UNLIMITED"  # set by who trusts a file on a system that sets no limits
+UNBOUND_WORD = "without limits"
 
 Read = Callable[[Path, "Room"], Iterable[tuple[str, Any]]]
 """Reads a file within some room: (name, value) of each variable."""
@@ -77,7 +77,9 @@ def served(readers: Mapping[str, Callable[[], Read]], kind: str, source: str, fo
     try:
         room = Room(path.stat().st_size)
         read = readers[kind]()
-        _limited(room)
+        bound = limit(room.size + SLACK + COPIES * room.bytes, seconds(room.size), SLACK + 2 * room.bytes)
+        if not bound and not os.environ.get(UNLIMITED):
+            return UNBOUND
         asked = _locked(path, folder)
         with (Path(folder) / "arrays").open("wb") as file:
             arrays = _Arrays(file)
@@ -90,6 +92,7 @@ def served(readers: Mapping[str, Callable[[], Read]], kind: str, source: str, fo
         if asked:
             raise InputError(f"asks for {asked[0]}; what a file says is never run")
         (Path(folder) / "told.json").write_text(json.dumps(told), encoding="utf-8")
+        print("" if bound else UNBOUND_WORD)
         return 0
     except InputError as error:
         why, code = str(error), REFUSED
@@ -101,7 +104,7 @@ def served(readers: Mapping[str, Callable[[], Read]], kind: str, source: str, fo
             why, code = _most(), MEMORY
     except ImportError as error:
         why, code = f"{error}", DAMAGED
-        if resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY:
+        if memory_limit() is not None:
             why, code = _most(), MEMORY
     except OSError as error:
         why = error.strerror or f"{error}"
@@ -113,29 +116,7 @@ def served(readers: Mapping[str, Callable[[], Read]], kind: str, source: str, fo
 
 
 def _most() -> str:
-    told = [limit for limit in resource.getrlimit(resource.RLIMIT_AS) if limit != resource.RLIM_INFINITY]
-    least = min(told, default=sys.maxsize)
-    return f"the {least >> 20} MiB that reading it may take"
-
-
-def _limited(room: Room) -> None:
-    """Bound memory, computing and files; never above a limit that is there already."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    except (OSError, ValueError):  # no Linux, whose limit of memory may not hold
-        pages = (2 << 30) // resource.getpagesize()
-    memory = pages * resource.getpagesize() + room.size + SLACK + COPIES * room.bytes
-    used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-    limits = {
-        resource.RLIMIT_AS: memory,
-        resource.RLIMIT_CPU: int(used + seconds(room.size)) + 1,
-        resource.RLIMIT_FSIZE: SLACK + 2 * room.bytes,
-        resource.RLIMIT_CORE: 0,
-    }
-    for what, most in limits.items():
-        soft, hard = resource.getrlimit(what)
-        least = min(limit for limit in (most, soft, hard) if limit != resource.RLIM_INFINITY)
-        resource.setrlimit(what, (least, hard))
+    return f"the {(memory_limit() or sys.maxsize) >> 20} MiB that reading it may take"
 
 
 _CODE = {  # events of Python that run code or start a program, or speak to another computer

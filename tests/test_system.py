@@ -1,0 +1,220 @@
+"""What differs between systems stands in one file; without POSIX the commands work, or refuse in one line."""
+
+import ctypes
+import os
+import re
+import signal
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from networks import delay_line
+from rooms import ROOT, modules
+
+from greygate import children, system
+from greygate.errors import InputError
+from greygate.files import locked
+from greygate.mismatch.concealed.conceal import conceal
+
+ELSEWHERE = Path(__file__).with_name("elsewhere")
+POSIX = re.compile(  # what some systems lack
+    r"\b(?:import|from)\s+(?:\w+\s*,\s*)*(?:fcntl|resource|pwd|grp|termios|tty|pty)\b|[\"']/proc\b"
+    r"|(?<![\"'])\bos\.(?:fork|forkpty|getuid|geteuid|getgid|killpg|setsid|statvfs|sched_\w+|chown|wait\w*|posix_\w+|O_NO\w+)\b"
+    r"|\bsignal\.(?:SIGX\w+|SIGKILL|SIGCHLD|SIGPIPE|SIGALRM|SIGHUP|alarm|setitimer|pthread_\w+)\b"
+    r"|\b(?:preexec_fn|start_new_session|pass_fds|effective_ids|dir_fd)\b|\bmsvcrt\b|ctypes\.(?:CDLL\(None|windll)"
+)
+
+
+def test_what_some_systems_lack_is_asked_for_in_one_file():
+    found = {
+        name: POSIX.findall(text)
+        for name, path in modules().items()
+        if POSIX.search(text := path.read_text(encoding="utf-8"))
+    }
+    assert found.pop("greygate.system")
+    assert found == {}
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory) -> Path:
+    """A folder with what the commands need."""
+    folder = tmp_path_factory.mktemp("given")
+    t = np.arange(300) * 1e-3
+    scipy.io.savemat(folder / "r.mat", {"t": t, "u": np.sin(40 * t), "y": np.cos(40 * t)})
+    rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(200))
+    (folder / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
+    delay_line().save(folder / "line")
+    conceal("cable_drum", 3, folder / "rig", kind="clean")
+    return folder
+
+
+def called(folder: Path, words: str, **more: str) -> subprocess.CompletedProcess[str]:
+    """A command on a system that lacks what `elsewhere` takes away."""
+    variables = {**os.environ, "PYTHONPATH": str(ELSEWHERE), "LOKY_MAX_CPU_COUNT": "2", **more}
+    command = [sys.executable, "-m", "greygate", *words.split()]
+    return subprocess.run(command, cwd=folder, env=variables, capture_output=True, text=True)
+
+
+def test_a_system_without_posix_is_one(given):
+    done = subprocess.run(
+        [sys.executable, "-c", "import os, greygate.system as s; print(s.fcntl, s.resource, hasattr(os, 'getuid'))"],
+        env={**os.environ, "PYTHONPATH": str(ELSEWHERE)}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.stdout == "None None False\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "look a.csv --out canonical.csv",
+        "train line.toml a.csv --epochs 2 --out trained",
+        "compile line.toml a.csv --architecture parallel --out built",
+        "emulate built a.csv --out predicted.csv",
+        "simulate rig rig/{recording} --out simulated.csv",
+        "identify a.csv --input u --output y --seconds 3 --jobs 2 --out found",
+        "doctor",
+    ],
+)
+def test_commands_work_without_posix(words, given):
+    recording = min(p.name for p in (given / "rig").glob("*.csv"))
+    done = called(given, words.format(recording=recording))
+    assert "Traceback" not in done.stderr
+    assert done.returncode == ("identify" in words), done.stderr  # which finds no model of such a channel, and says so
+    left = [p.name for p in given.rglob(".*greygate*")]
+    assert left == []
+
+
+def test_a_build_made_without_posix_is_the_same(given, greygate):
+    words = "compile line.toml a.csv --architecture parallel --out elsewhere"
+    assert called(given, words).returncode == 0
+    made = ["compile", given / "line.toml", given / "a.csv", "--architecture", "parallel", "--out", given / "here"]
+    assert greygate(*made)[0] == 0
+    here, there = (
+        {p.relative_to(root): p.read_bytes() for p in (root / "rtl").rglob("*.v")}
+        for root in (given / "here", given / "elsewhere")
+    )
+    assert here == there != {}
+
+
+def test_a_file_of_another_tool_is_refused_where_memory_has_no_limit_or_read_with_a_word(given):
+    refused = called(given, "look r.mat --unit u=V --unit y=m")
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    assert "bounds no memory of a process" in refused.stderr
+    assert "GREYGATE_UNLIMITED=1" in refused.stderr
+    read = called(given, "look r.mat --unit u=V --unit y=m", GREYGATE_UNLIMITED="1")
+    assert read.returncode == 0
+    assert "read without limits of memory and computing" in read.stderr
+
+
+def test_doctor_says_what_this_system_does_not_do(given):
+    lines = {line.split("  ")[0]: line for line in called(given, "doctor").stdout.splitlines()}
+    assert "held" in lines["file locks"]
+    assert "not installed" not in lines["memory limits"]
+    assert "not here" in lines["memory limits"]
+    assert "GREYGATE_UNLIMITED" in lines["memory limits"]
+
+
+def test_a_limit_that_the_system_takes_and_does_not_hold_to_is_no_limit():
+    code = (
+        "from greygate import system\nsystem.resource.setrlimit = lambda *_: None\nprint(system.limit(1 << 28, 9, 1))"
+    )
+    assert children.ran(children.python("-c", code)).stdout.strip() == "False"
+    assert children.ran(children.python("-c", code.replace("setrlimit", "other"))).stdout.strip() == "True"
+
+
+def test_two_writers_without_posix_exclude_each_other(given):
+    hold = (
+        "import sys; from greygate.files import locked\n"
+        "with locked('x'):\n    print('held', flush=True); sys.stdin.readline()\n"
+    )
+    variables = {**os.environ, "PYTHONPATH": str(ELSEWHERE)}
+    piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", hold], cwd=given, env=variables, **piped) as holder:
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(InputError, match="another greygate is writing it"), locked(given / "x"):
+            pytest.fail("both hold it")
+        second = subprocess.run([sys.executable, "-c", hold], cwd=given, env=variables, capture_output=True, text=True)
+        assert "another greygate is writing it" in second.stderr
+        holder.communicate("\n")
+    with locked(given / "x"):
+        pass
+
+
+def test_a_system_without_any_lock_is_refused(monkeypatch, tmp_path):
+    monkeypatch.setattr(system, "fcntl", None)
+    with pytest.raises(OSError, match="neither fcntl nor msvcrt"), locked(tmp_path / "x"):
+        pytest.fail("it holds nothing")
+
+
+class Kernel:
+    """What of kernel32 a job needs; a job is a list of processes here."""
+
+    def __init__(self, failing: str = ""):
+        self.failing, self.calls, self.held = failing, [], []
+
+    def __getattr__(self, name):
+        def call(*arguments):
+            self.calls.append(name)
+            if name == self.failing:
+                return 0
+            if name == "SetInformationJobObject":
+                self.flags = arguments[2]._obj.flags
+            if name == "AssignProcessToJobObject":
+                self.held.append(arguments[1].value)
+            if name in ("TerminateJobObject", "CloseHandle"):
+                while self.held:
+                    os.kill(self.held.pop(), signal.SIGKILL)
+            return 7
+
+        return call
+
+
+class Windows(subprocess.Popen):
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        self._handle = self.pid
+
+
+@pytest.fixture
+def kernel(monkeypatch):
+    def made(failing: str = "") -> Kernel:
+        found = Kernel(failing)
+        monkeypatch.setattr(system, "WINDOWS", True)
+        monkeypatch.setattr(system, "Popen", Windows)
+        monkeypatch.setattr(ctypes, "WinDLL", lambda *_, **__: found, raising=False)
+        monkeypatch.setattr(ctypes, "get_last_error", lambda: 5, raising=False)
+        return found
+
+    return made
+
+
+def test_on_windows_a_job_ends_all_that_was_started(kernel):
+    found = kernel()
+    with children.started(["sleep", "600"]) as process:
+        assert process.poll() is None
+    assert process.returncode == -signal.SIGKILL
+    assert found.flags == 0x2000  # JOB_OBJECT_LIMIT_KILL_ON_JOB_CLOSE
+    assert found.calls == [
+        "CreateJobObjectW", "SetInformationJobObject", "AssignProcessToJobObject", "TerminateJobObject", "CloseHandle",
+    ]  # fmt: skip
+    assert (ctypes.sizeof(system._Limits), system._Limits.flags.offset) == (144, 16)  # of 64-bit Windows
+
+
+@pytest.mark.parametrize("failing", ["CreateJobObjectW", "SetInformationJobObject", "AssignProcessToJobObject"])
+def test_on_windows_nothing_runs_outside_a_job(kernel, failing):
+    kernel(failing)
+    with pytest.raises(OSError, match=failing), children.started(["sleep", "600"]):
+        pytest.fail("it runs")
+
+
+def test_readme_classifiers_and_workflow_name_the_same_systems():
+    told = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["classifiers"]
+    assert [c for c in told if c.startswith("Operating System")] == ["Operating System :: POSIX :: Linux"]
+    readme, workflow = ((ROOT / n).read_text() for n in ("README.md", ".github/workflows/systems.yml"))
+    assert "tested on Linux" in readme
+    for name in ("ubuntu-latest", "macos-latest", "windows-latest"):
+        assert name in workflow
