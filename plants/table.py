@@ -13,6 +13,7 @@ import numpy as np
 
 from greygate.contents import bounded, contents
 from greygate.errors import InputError
+from greygate.progress import once
 
 LARGEST = 1e30  # in a cell: above any quantity; its eighth power, in correlations of squares, stays within float64
 MOST_BYTES = 2**31  # of a file: a recording is far smaller, a device may never end
@@ -26,6 +27,8 @@ _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?")
 _THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 _BRACKETED = re.compile(r"^[\[(](.*)[\])]$")  # a unit in a row of its own
 _MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}  # byte order marks of other encodings than UTF-8
+WESTERN = set("ÄÖÜäöüßÀÂÆÇÈÉÊËÎÏÔŒÙÛàâæçèéêëîïôœùûÿ°µ²³·€§«»–’".encode("cp1252"))
+"""Bytes that a spreadsheet writes in Germany or France; another byte shows that the file is in something else."""
 _GZIP = b"\x1f\x8b"
 
 
@@ -66,7 +69,7 @@ class CsvTable:
 
 
 def read_table(path: Path | str, nan: bool = False) -> CsvTable:
-    """The table in a CSV file: UTF-8, columns separated by commas, semicolons or tabs, one header, decimal numbers.
+    """The table in a CSV file: UTF-8 or Windows-1252, columns by commas, semicolons or tabs, a header, decimal numbers.
 
     Decimal commas are read if a cell shows that they do not separate thousands. nan: cells may be `nan`, as at the end
     of the CSV that a diverging simulation writes. Raises InputError for anything else, naming the row as an editor
@@ -86,7 +89,8 @@ def read_header(path: Path | str) -> tuple[list[str], bool]:
         if data.startswith(_GZIP):
             with gzip.open(path) as file:
                 data = file.read(HEAD)
-        _, rows, _ = _rows(Path(path), "\n".join(data.decode("utf-8-sig", "replace").splitlines()[:FIRST]))
+        text = _western(data) or data.decode("utf-8-sig", "replace")
+        _, rows, _ = _rows(Path(path), "\n".join(text.splitlines()[:FIRST]))
     except (OSError, EOFError, ValueError, zlib.error, InputError):
         return [], False
     names = [name.strip() for name in rows[0]]
@@ -142,8 +146,21 @@ def _text(path: Path) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if (text := _western(data)) is not None:
+            once(f"{path}: is not UTF-8, so it is read as Windows-1252; save it as UTF-8 if a name is wrong")
+            return text
         line = data.count(b"\n", 0, error.start) + 1
         raise InputError(f"{path}: is not a CSV text file in UTF-8 (row {line}); {wish}") from None
+
+
+def _western(data: bytes) -> str | None:
+    """The text of bytes that are no UTF-8 and in Windows-1252 German, French or signs of units; None for others."""
+    try:
+        data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        other = set(data) - set(range(128))
+        return data.decode("cp1252") if other <= WESTERN else None
+    return None
 
 
 def _rows(path: Path, text: str) -> tuple[list[int], list[list[str]], str]:

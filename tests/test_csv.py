@@ -1,6 +1,7 @@
 """CSV files as programs and people write them: read rightly, or refused in a line that says what to do."""
 
 import gzip
+import json
 from itertools import product
 
 import numpy as np
@@ -256,7 +257,8 @@ BYTES = {
     "UTF-16, high byte first": (lambda t: b"\xfe\xff" + t.encode("utf-16-be"), "in UTF-16; save it as UTF-8"),
     "UTF-16 without a mark": (lambda t: t.encode("utf-16-le"), "(byte 1 is 0); save it as UTF-8"),
     "UTF-32": (lambda t: t.encode("utf-32"), "save it as UTF-8 CSV"),
-    "Latin-1": (lambda t: (t + "4,1,\u00b5\n").encode("latin-1"), "is not a CSV text file in UTF-8 (row 6); save it"),
+    "Mac Roman": (lambda t: (t + "4,1,\u00b0\n").encode("mac-roman"), "is not a CSV text file in UTF-8 (row 6); save"),
+    "DOS": (lambda t: (t + "4,1,\u00fc\n").encode("cp850"), "is not a CSV text file in UTF-8 (row 6); save it"),
     "bytes of nothing": (lambda t: bytes(range(128, 256)), "is not a CSV text file"),
     "a byte 0 at the end": (lambda t: t.encode() + b"\0", "is not a CSV text file (byte"),
     "a PNG": (lambda t: b"\x89PNG\r\n\x1a\n" + t.encode(), "is not a CSV text file"),
@@ -269,6 +271,16 @@ BYTES = {
     "gzip of gzip": (lambda t: gzip.compress(gzip.compress(t.encode())), "is not a CSV text file"),
     "gzip of UTF-16": (lambda t: gzip.compress(t.encode("utf-16")), "in UTF-16; save it as UTF-8 CSV"),
 }
+
+
+@pytest.mark.parametrize("title", ["Öldruck für Kolben", "pression à l'entrée, côté tête"])
+def test_a_spreadsheet_of_windows_in_german_or_french_is_read_and_that_is_said(title, tmp_path, greygate):
+    text = f'Zeit [s];"{title} [µm]"\n0,0;1,5\n0,1;2,5\n0,2;1,5\n'
+    (tmp_path / "utf8.csv").write_bytes(text.encode())
+    (tmp_path / "a.csv").write_bytes(text.encode("cp1252"))
+    (code, out, error), (_, same, silent) = (greygate("look", tmp_path / n, "--json") for n in ("a.csv", "utf8.csv"))
+    assert (code, json.loads(out)["channels"], silent) == (0, json.loads(same)["channels"], "")
+    assert "read as Windows-1252" in error
 
 
 def test_a_file_that_is_no_text_is_refused_with_what_to_do(entrance):

@@ -50,6 +50,23 @@ def run(command: str) -> None:
     assert done.returncode == 0, f"{command}{done.stdout}{done.stderr}"
 
 
+SETUP = ("make ", "pip ", "greygate --help")  # of the installation
+
+
+@pytest.mark.nightly
+def test_every_line_of_the_readme_runs_as_it_is_pasted_in_order(folder):
+    (folder / "recordings").unlink()  # whoever installed greygate has no more than it writes
+    namespace = {}
+    for kind, text in re.findall(r"```(python)?\n(.*?)```", (ROOT / "README.md").read_text(), re.S):
+        if kind:
+            exec(compile(text, "README.md", "exec"), namespace)
+        for command in [line for line in text.splitlines() if line.startswith("greygate ")] if not kind else ():
+            if not command.startswith(SETUP):
+                run(command)
+    assert (folder / "found").is_dir()
+    assert (folder / "build_ice").is_dir()
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("page", [name for name, blocks in BLOCKS.items() if blocks and name not in NOTEBOOKS])
 def test_the_python_and_the_commands_in_a_page_run(page, folder):

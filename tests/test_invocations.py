@@ -25,6 +25,7 @@ from greygate.project import compile_project
 
 LEAST = 400  # invocations
 GOOD = {
+    "demo": ["cart", "--out", "new"],
     "look": ["a.csv", "--out", "new.csv"],
     "init": ["a.csv", "--output", "y", "--out", "new"],
     "init-rig": ["a.csv", "--output", "y", "--out", "new"],

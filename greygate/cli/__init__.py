@@ -38,7 +38,7 @@ _stopped: list[int] = []  # the exit codes that signals have asked for
 DEVELOPERS = "Developers"
 COMMANDS = {  # heading -> commands; those for developers are a group
     "The whole way": (whole.make,),
-    "Data": (recordings.look, recordings.init, recordings.init_rig),
+    "Data": (recordings.demo, recordings.look, recordings.init, recordings.init_rig),
     "Networks": (networks.identify, networks.train, networks.build_snn, networks.validate, controlling.control),
     "Hardware": (
         *(compiling.compile, compiling.explore, builds.emulate, builds.verify, builds.prove, builds.synthesize),

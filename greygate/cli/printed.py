@@ -135,6 +135,13 @@ class Doctor(TypedDict):
     tools: list[Tool]
 
 
+class Sampling(TypedDict):
+    """The samples that `greygate demo` writes."""
+
+    samples: Annotated[dict[str, str], "Name -> what it is."]
+    written: list[str]
+
+
 class Emulating(TypedDict):
     """A run of the integer program."""
 

@@ -1,6 +1,7 @@
 """Commands on recordings alone: look, init, init-rig."""
 
 from contextlib import ExitStack
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,11 +10,39 @@ import typer
 from greygate.cli import options, words
 from greygate.cli.terminal import Json, give, say
 from greygate.errors import InputError
+from greygate.machines.samples import DEMOS
 
 if TYPE_CHECKING:
-    from greygate.cli.printed import ChannelRead, Looking
+    from greygate.cli.printed import ChannelRead, Looking, Sampling
 
 SHOWN = 6  # names in a message
+
+
+Sample = StrEnum("Sample", {name: name for name in DEMOS})  # type: ignore[misc]  # members that DEMOS lists
+
+
+def demo(
+    name: Annotated[
+        Sample | None, typer.Argument(metavar="NAME", help="Of a sample; all are listed if not given.")
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write into, beside what is there.")] = Path(),
+    as_json: Json = False,
+) -> None:
+    """Write the sample data of a tutorial into a folder.
+
+    A file that is there already is never replaced.
+    """
+    from greygate.machines.samples import write
+
+    written = [] if name is None else write(name.value, out)
+    found: Sampling = {"samples": {n: told.means for n, told in DEMOS.items()}, "written": [str(p) for p in written]}
+    then = [] if name is None else ["then:", *DEMOS[name.value].then]
+    lines = (
+        [f"written: {', '.join(found['written'])}", *then]
+        if written
+        else [f"{n:10} {m}" for n, m in found["samples"].items()]
+    )
+    give("demo", found, as_json, lines)
 
 
 def look(
