@@ -72,7 +72,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,torch,fmi,fusesoc,onnx,matlab,parquet,mdf,tdms,mcap,pandas]'
+	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,torch,fmi,fusesoc,onnx,matlab,parquet,mdf,tdms,mcap,pandas,app]'
 	@touch $@
 
 # What nightly tests alone use: half a gigabyte.

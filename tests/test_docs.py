@@ -50,7 +50,7 @@ def run(command: str) -> None:
     assert done.returncode == 0, f"{command}{done.stdout}{done.stderr}"
 
 
-SETUP = ("make ", "pip ", "greygate --help")  # of the installation
+SETUP = ("greygate --help", "greygate app")  # of the installation
 
 
 @pytest.mark.nightly

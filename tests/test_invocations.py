@@ -25,6 +25,7 @@ from greygate.project import compile_project
 
 LEAST = 400  # invocations
 GOOD = {
+    "app": ["folder"],
     "demo": ["cart", "--out", "new"],
     "look": ["a.csv", "--out", "new.csv"],
     "init": ["a.csv", "--output", "y", "--out", "new"],
@@ -103,7 +104,7 @@ TEXTS = {
     "init out": NO_NAME, "init-rig out": NO_NAME,
     "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
     "joint": ["", "v", "v=", "=hinge", "nobody=hinge", "v=a b"], "options": ["--nope", "--width=3", "--out=x"],
-    "install": ["", "a\nb", "${{ x }}"], "ci-template accepted": ["", "../x", "/x"],
+    "install": ["", "a\nb", "${{ x }}"], "app folder": ["none", "a.csv"], "ci-template accepted": ["", "../x", "/x"],
     "ci-template budget": ["", "../x", "/x", "folder", "a.csv"],
 }  # fmt: skip
 """Wrong texts by the name of the option or argument, or by command and name."""

@@ -116,7 +116,7 @@ def test_schema_prints_one_or_lists_all(greygate):
     assert (code, list(json.loads(out))) == (0, schemas.names())
     code, _, error = greygate("dev", "schema", "verified?")
     assert code == 2
-    assert error.startswith("greygate: no schema 'verified?'; there are augment, ")
+    assert error.startswith("greygate: no schema 'verified?'; there are app, augment, ")
 
 
 def test_the_page_names_every_schema_whose_results_do_not_say_it():

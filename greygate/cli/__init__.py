@@ -37,7 +37,7 @@ UsageError: Any = typer.BadParameter.__base__  # raised for an argument or optio
 _stopped: list[int] = []  # the exit codes that signals have asked for
 DEVELOPERS = "Developers"
 COMMANDS = {  # heading -> commands; those for developers are a group
-    "The whole way": (whole.make,),
+    "The whole way": (whole.make, tools.app),
     "Data": (recordings.demo, recordings.look, recordings.init, recordings.init_rig),
     "Networks": (networks.identify, networks.train, networks.build_snn, networks.validate, controlling.control),
     "Hardware": (

@@ -135,6 +135,13 @@ class Doctor(TypedDict):
     tools: list[Tool]
 
 
+class Serving(TypedDict):
+    """Where `greygate app` shows a folder; printed when it begins."""
+
+    folder: str
+    address: str
+
+
 class Sampling(TypedDict):
     """The samples that `greygate demo` writes."""
 

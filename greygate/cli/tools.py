@@ -9,12 +9,12 @@ import typer
 
 from greygate import schemas
 from greygate.cli import words
-from greygate.cli.grammar import spelt
+from greygate.cli.grammar import leaves, spelt
 from greygate.cli.terminal import Json, give, print_out, recordings
 from greygate.errors import InputError
 
 if TYPE_CHECKING:
-    from greygate.cli.printed import Doctor
+    from greygate.cli.printed import Doctor, Serving
 
 
 class Service(StrEnum):
@@ -88,6 +88,29 @@ def doctor(as_json: Json = False) -> None:
     result: Doctor = {"greygate": __version__, "healthy": healthy, "tools": found}
     lines = [f"greygate {__version__}", *aligned(rows, ("name", "version", "for", "remedy")), verdict]
     give("doctor", result, as_json, lines, healthy)
+
+
+def app(
+    context: typer.Context,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="What it shows and writes into.")] = Path(),
+    port: Annotated[int, typer.Option(help="Of this computer; 0: any that is free.", min=0, max=65535)] = 0,
+    as_json: Json = False,
+) -> None:
+    """Show a folder in the browser, and run commands by forms.
+
+    It prints the address, which nobody else can guess, and serves this computer alone until Ctrl-C.
+    """
+    from greygate.app.server import serve
+
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; give one that is there")
+    root: Any = context.find_root().command
+
+    def begun(address: str) -> None:
+        result: Serving = {"folder": str(folder), "address": address}
+        give("app", result, as_json, [address])
+
+    serve(folder, leaves(root), port, begun)
 
 
 def named(begun: str) -> list[str]:

@@ -1,0 +1,91 @@
+"""What lies in a folder: recordings, networks, rigs, builds, diagnoses and pages, each with its state."""
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from greygate.contents import contents
+from greygate.errors import one_line
+
+DEEP, MOST = 2, 400  # folders below the folder, and things, that are looked at
+READ = 1 << 20  # bytes of a file that is opened for its state; a larger one tells none
+RECORDINGS = (".csv", ".gz", ".mat", ".h5", ".hdf5", ".parquet", ".mf4", ".mdf", ".dat", ".tdms", ".mcap")
+TAKEN = (*RECORDINGS, ".toml", ".safetensors", ".json", ".onnx", ".xml")  # what may be dropped
+NEXT = {  # kind -> the commands that begin with it
+    "recording": ("look", "identify", "init"), "network": ("train", "validate", "compile"),
+    "rig": ("diagnose", "isolability", "next", "simulate"), "diagnosis": (), "page": (),
+    "build": ("emulate", "verify", "prove", "synthesize", "report", "board"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Thing:
+    """path: within the folder. state: in a few words. page: the HTML page of its name, if there is one."""
+
+    kind: str
+    path: str
+    state: str
+    page: str = ""
+
+    @property
+    def next(self) -> tuple[str, ...]:
+        return NEXT[self.kind]
+
+
+def things(folder: Path) -> list[Thing]:
+    """What lies in the folder, by kind and path. Links are not followed."""
+    found = [thing for _, thing in zip(range(MOST), _found(folder, folder, DEEP), strict=False)]
+    return sorted(found, key=lambda thing: ([*NEXT].index(thing.kind), thing.path))
+
+
+def _found(root: Path, folder: Path, deep: int) -> Iterator[Thing]:
+    try:
+        entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
+    except OSError:
+        return
+    for entry in entries:
+        path = Path(entry.path)
+        if entry.name.startswith(".") or entry.is_symlink():
+            continue
+        kind, state = _folder(path) if entry.is_dir() else _file(path)
+        within = path.relative_to(root).as_posix()
+        if kind:
+            page = path.with_suffix(".html") if entry.is_file() else path / "index.html"
+            yield Thing(kind, within, one_line(state), page.relative_to(root).as_posix() if page.is_file() else "")
+        if entry.is_dir() and deep and kind != "build":
+            yield from _found(root, path, deep - 1)
+
+
+def _folder(path: Path) -> tuple[str, str]:
+    if (path / "rig.toml").is_file():
+        return "rig", f"{len(list(path.glob('*.csv')))} recordings"
+    if (path / "compile.json").is_file():
+        verified = _json(path / "verify.json")
+        return "build", "verified" if verified and verified.get(
+            "passed"
+        ) else "not verified" if not verified else "differs"
+    return "", ""
+
+
+def _file(path: Path) -> tuple[str, str]:
+    suffix = path.suffix.lower()
+    if suffix in RECORDINGS:
+        return "recording", f"{path.stat().st_size / 1000:,.0f} kB"
+    if suffix == ".toml" and path.with_suffix(".safetensors").is_file():
+        return "network", "trained" if path.with_suffix(".json").is_file() else "not trained"
+    if suffix == ".html":
+        return "page", ""
+    if suffix == ".json" and "verdict" in (told := _json(path)):
+        return "diagnosis", str(told["verdict"]).replace("_", " ")
+    return "", ""
+
+
+def _json(path: Path) -> dict:
+    """The object in a file; empty where there is none."""
+    try:
+        found = json.loads(contents(path, READ))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}

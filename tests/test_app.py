@@ -1,0 +1,277 @@
+"""`greygate app`: a folder in the browser. Strangers are refused; a command runs as it is typed."""
+
+import secrets
+import socket
+import time
+import urllib.error
+import urllib.request
+import warnings
+
+import browsing
+import pytest
+from typer.main import get_command
+
+from greygate import children, cli
+from greygate.cli.grammar import leaves
+
+for package in ("httpx", "starlette", "uvicorn"):
+    pytest.importorskip(package, reason=f"{package} is not installed: pip install httpx 'greygate[app]'")
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # Starlette names the successor of httpx
+    from starlette.testclient import TestClient
+
+from greygate.app import server  # noqa: E402
+from greygate.app.forms import Form  # noqa: E402
+
+TOKEN, OWN = secrets.token_urlsafe(), "http://127.0.0.1:8000"
+ROWS = "t_s,u_V,y_m\n" + "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(200))
+COMMANDS = leaves(get_command(cli.app))
+PATIENCE = 60.0  # s for a command that takes two
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "a.csv").write_text(ROWS)
+    (tmp_path / "secret.csv").write_text(ROWS)
+    return tmp_path / "work"
+
+
+@pytest.fixture
+def client(folder):
+    with TestClient(server.site(folder, COMMANDS, TOKEN), base_url=OWN, headers={"origin": OWN}) as made:
+        yield made
+
+
+def at(place: str = "") -> str:
+    return f"/{TOKEN}/{place}"
+
+
+def ended(client, number: int) -> dict:
+    until = time.monotonic() + PATIENCE
+    while time.monotonic() < until:
+        if (run := client.get(at(f"runs/{number}/log")).json())["state"] != "runs":
+            return run
+        time.sleep(0.05)
+    raise AssertionError("it does not end")
+
+
+@pytest.mark.parametrize(
+    ("headers", "why"),
+    [
+        ({"origin": "http://evil.example"}, "another origin"),
+        ({"origin": "null"}, "another origin"),
+        ({"origin": "http://127.0.0.1:8001"}, "another origin"),
+        ({"host": "evil.example:8000"}, "another host"),
+        ({"host": "127.0.0.1"}, "another host"),
+        ({"host": "127.0.0.1:8000.evil.example"}, "another host"),
+    ],
+)
+@pytest.mark.parametrize(("method", "place"), [("GET", ""), ("PUT", "files/b.csv"), ("POST", "run/doctor")])
+def test_other_hosts_and_origins_are_refused(client, folder, headers, why, method, place):
+    answer = client.request(method, at(place), headers=headers, content=b"{}")
+    assert (answer.status_code, answer.text) == (403, why)
+    assert [p.name for p in folder.iterdir()] == ["a.csv"]
+
+
+def test_what_changes_something_has_to_say_its_origin(client):
+    del client.headers["origin"]
+    assert client.get(at()).status_code == 200
+    assert client.post(at("run/doctor"), content=b"{}").status_code == 403
+
+
+@pytest.mark.parametrize(
+    "place", ["/", "/wrong/", f"/{TOKEN[:-1]}/", f"/{TOKEN}x/", "/wrong/files/a.csv", "//", f"/{TOKEN}"]
+)
+def test_a_wrong_token_shows_nothing(client, place):
+    answer = client.get(place)
+    assert answer.status_code == 403
+    assert "a.csv" not in answer.text
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.csv", "%2e%2e/secret.csv", "..%2fsecret.csv", "/etc/passwd", "link.csv", "a%00b"]
+)
+def test_a_path_outside_the_folder_is_refused(client, folder, name):
+    (folder / "link.csv").symlink_to(folder.parent / "secret.csv")
+    assert client.get(at(f"files/{name}")).status_code in (403, 404)
+    assert client.put(at(f"files/{name}"), content=ROWS).status_code in (400, 403, 404, 405)
+    assert (folder.parent / "secret.csv").read_text() == ROWS
+
+
+@pytest.mark.parametrize(
+    "value", ["../secret.csv", "/etc/passwd", "x=../secret.csv", "C:\\secret.csv", "~/x.csv", "--out", "a\\..\\..\\x"]
+)
+def test_a_command_names_nothing_outside_the_folder_and_no_option_in_disguise(client, value):
+    answer = client.post(at("run/look"), json={"recording": value})
+    assert answer.status_code == 400
+    assert answer.text.startswith("RECORDING: ")
+
+
+def test_a_file_in_the_folder_is_shown_and_its_script_speaks_to_nobody(client, folder):
+    (folder / "page.html").write_text("<script>1</script>")
+    answer = client.get(at("files/page.html"))
+    assert answer.text == "<script>1</script>"
+    assert "sandbox allow-scripts;" in answer.headers["content-security-policy"]
+    assert "allow-same-origin" not in answer.headers["content-security-policy"]
+
+
+def test_fifty_files_are_added_whole_and_none_replaces_another(client, folder):
+    for k in range(50):
+        assert client.put(at(f"files/f{k}.csv"), content=ROWS + f"0.2,{k},0\n").status_code == 200
+    assert client.put(at("files/f7.csv"), content="x").status_code == 400
+    assert [(folder / f"f{k}.csv").read_text().splitlines()[-1] for k in range(50)] == [f"0.2,{k},0" for k in range(50)]
+    assert len(list(folder.iterdir())) == 51
+
+
+@pytest.mark.parametrize("name", ["run.py", ".hidden.csv", "x.exe", "no_suffix", "a:b.csv", "x" * 300 + ".csv"])
+def test_a_file_that_is_no_recording_and_no_network_is_not_taken(client, folder, name):
+    assert client.put(at(f"files/{name}"), content="x").status_code == 400
+    assert [p.name for p in folder.iterdir()] == ["a.csv"]
+
+
+def test_a_file_that_is_too_large_is_refused_and_leaves_nothing(client, folder, monkeypatch):
+    told = client.put(at("files/b.csv"), content=b"x", headers={"content-length": str(server.LARGEST + 1)})
+    assert told.status_code == 413
+    monkeypatch.setattr(server, "LARGEST", 1000)
+    untold = client.put(at("files/b.csv"), content=iter([b"x" * 600] * 2))
+    assert untold.status_code == 413
+    assert [p.name for p in folder.iterdir()] == ["a.csv"]
+
+
+def test_every_command_has_a_form_that_shows_each_of_its_options(client):
+    for name, command in COMMANDS.items():
+        page = client.get(at(f"command/{name}"))
+        if name == "app":
+            assert page.status_code == 404
+            continue
+        assert page.status_code == 200
+        for parameter in command.params:
+            assert (f'name="{parameter.name}"' in page.text) == (not {"--help", "--json"} & {*parameter.opts})
+
+
+def test_the_values_of_a_form_are_the_words_of_the_command():
+    form = Form.of("compile", COMMANDS["compile"])
+    values = {
+        "network": "mine.toml",
+        "record": "a.csv\nb.csv",
+        "width": "12",
+        "macs": "4",
+        "generic": "no",
+        "out": "build",
+    }
+    assert form.words(values) == [
+        "compile",
+        "--out",
+        "build",
+        "--width",
+        "12",
+        "--no-generic",
+        "mine.toml",
+        "a.csv",
+        "b.csv",
+    ]
+
+
+def test_a_command_runs_and_its_log_and_result_are_shown(client, folder):
+    values = {"recording": "a.csv", "out": "new.csv"}
+    assert client.post(at("line/look"), json=values).json()["line"] == "greygate look --out new.csv a.csv"
+    run = ended(client, client.post(at("run/look"), json=values).json()["number"])
+    assert run["state"] == "done"
+    assert "written to new.csv" in run["log"]
+    assert "new.csv" in client.get(at()).text
+    wrong = ended(client, client.post(at("run/look"), json={"recording": "none.csv"}).json()["number"])
+    assert wrong["state"] == "wrong use"
+    assert "Traceback" not in wrong["log"]
+
+
+def test_a_run_that_is_cancelled_ends_with_what_it_started_and_leaves_nothing(client, folder):
+    values = {"record": "a.csv", "input": "u", "output": "y", "out": "found", "jobs": "2"}
+    answer = client.post(at("run/identify"), json=values)
+    assert answer.status_code == 200, answer.text
+    number = answer.json()["number"]
+    time.sleep(3)
+    client.post(at(f"runs/{number}/cancel"))
+    assert ended(client, number)["state"] == "cancelled"
+    assert not (folder / "found").exists()
+
+
+def test_no_more_run_than_a_computer_can_bear(client, monkeypatch):
+    monkeypatch.setattr(server.Runs, "_follow", lambda runs, run: None)
+    numbers = [client.post(at("run/doctor"), json={}).status_code for _ in range(5)]
+    assert numbers == [200] * 4 + [400]
+
+
+@pytest.mark.parametrize("body", [b"", b"[]", b"{", b"[" * 100_000, b'{"recording": 1}', b'{"nobody": "1"}'])
+def test_what_is_no_form_is_refused(client, body):
+    assert client.post(at("run/look"), content=body).status_code == 400
+
+
+@pytest.fixture
+def served(folder):
+    """The address that `greygate app` prints."""
+    with children.started(children.python("-m", "greygate", "app", str(folder)), stdout=children.PIPE) as process:
+        yield process.stdout.readline().strip()
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(bool(browsing.missing()), reason=f"a browser needs {browsing.missing()}")
+def test_a_recording_is_dropped_looked_at_and_read_by_mouse_and_by_keyboard(served, folder):
+    (folder.parent / "new.csv").write_text(ROWS)
+    with browsing.chromium() as browser:
+        for theme, size in (("light", (1280, 900)), ("dark", (390, 844))):
+            with browsing.opened(browser, served, size, theme) as (tab, told):
+                assert browsing.looked(tab, "screen") == []
+                if theme == "light":
+                    tab.set_input_files("#add", folder.parent / "new.csv")
+                    tab.wait_for_selector("section:has-text('new.csv')")
+                    tab.wait_for_load_state()
+                assert browsing.by_keyboard(tab) == []
+                tab.click("section:has-text('new.csv') >> text=look")
+                tab.wait_for_selector("text=greygate look new.csv")
+                assert browsing.looked(tab, "screen") == []
+                tab.focus("#out")
+                tab.keyboard.type(f"{theme}.csv")
+                tab.keyboard.press("Enter")
+                tab.wait_for_selector("h1:text-is('done')", timeout=PATIENCE * 1000)
+                assert f"written to {theme}.csv" in tab.inner_text("#log")
+                assert browsing.looked(tab, "screen") == []
+                assert told == []
+    assert (folder / "dark.csv").read_text() == (folder / "light.csv").read_text()
+
+
+def test_the_address_is_of_this_computer_and_nobody_can_guess_it(served):
+    address, _, token = served.rstrip("/").rpartition("/")
+    assert address.startswith("http://127.0.0.1:")
+    assert len(token) >= 40
+    with urllib.request.urlopen(f"{served}") as answer:
+        assert "a.csv" in answer.read().decode()
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(f"{address}/")
+
+
+def test_a_folder_that_is_none_and_a_taken_port_are_refused(greygate, folder):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        code, out, error = greygate("app", folder, "--port", port)
+        assert (code, out, f"--port {port}: cannot be used" in error) == (2, "", True)
+    assert greygate("app", folder / "none")[0] == 2
+
+
+MISSING = """
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name == "starlette":
+            raise ModuleNotFoundError("No module named 'starlette'", name=name)
+sys.meta_path.insert(0, Missing())
+import greygate.app.server
+"""
+
+
+def test_without_the_extra_it_names_itself():
+    done = children.ran(children.python("-c", MISSING))
+    assert "starlette is not installed; pip install 'greygate[app]'" in done.stderr
