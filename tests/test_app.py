@@ -1,11 +1,16 @@
 """`greygate app`: a folder in the browser. Strangers are refused; a command runs as it is typed."""
 
+import os
 import secrets
 import socket
+import subprocess
 import time
 import urllib.error
 import urllib.request
 import warnings
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
 
 import browsing
 import pytest
@@ -249,6 +254,58 @@ def test_the_address_is_of_this_computer_and_nobody_can_guess_it(served):
         assert "a.csv" in answer.read().decode()
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(f"{address}/")
+
+
+def sent(address: str, method: str, place: str, body: bytes) -> int:
+    """The status of an answer."""
+    origin = "/".join(address.split("/")[:3])
+    asked = urllib.request.Request(address + place, body, {"Origin": origin}, method=method)
+    try:
+        with urllib.request.urlopen(asked) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        error.close()
+        return error.code
+
+
+def test_fifty_files_at_once_are_whole_and_of_one_name_one_is_taken(served, folder):
+    large = ROWS.encode() * 100
+    with ThreadPoolExecutor(50) as pool:
+        apart = [*pool.map(lambda k: sent(served, "PUT", f"files/f{k}.csv", large), range(50))]
+        same = [*pool.map(lambda k: sent(served, "PUT", "files/same.csv", large + b"%d" % k), range(20))]
+    assert apart == [200] * 50
+    assert sorted(same) == [200] + [400] * 19
+    assert {(folder / f"f{k}.csv").read_bytes() for k in range(50)} == {large}
+    assert (folder / "same.csv").read_bytes() == large + b"%d" % same.index(200)
+    assert len(list(folder.iterdir())) == 52
+
+
+def within(folder) -> list[str]:
+    """The processes that run in the folder."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if os.readlink(place / "cwd") == str(folder):
+                found.append(place.name)
+    return found
+
+
+def test_a_server_that_is_killed_takes_its_runs_along_and_leaves_nothing_half(folder):
+    command = [*children.python("-m", "greygate", "app"), str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        address = process.stdout.readline().strip()
+        body = b'{"record": "a.csv", "input": "u", "output": "y", "out": "found"}'
+        assert sent(address, "POST", "run/identify", body) == 200
+        until = time.monotonic() + PATIENCE
+        while not within(folder) and time.monotonic() < until:
+            time.sleep(0.05)
+        assert within(folder)
+        process.kill()
+    until = time.monotonic() + 5
+    while within(folder) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert within(folder) == []
+    assert not (folder / "found").exists()
 
 
 def test_a_folder_that_is_none_and_a_taken_port_are_refused(greygate, folder):

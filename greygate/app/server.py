@@ -79,6 +79,7 @@ class Pages:
 
     def __init__(self, folder: Path, commands: Mapping[str, Any], token: str):
         self.folder, self.runs, self.token = folder.resolve(), Runs(folder), token
+        self.adding: set[str] = set()  # names of the files that are being dropped
         self.forms = {name: Form.of(name, c) for name, c in commands.items() if name not in LEFT_OUT}
         self.templates: Environment = environment().overlay(loader=PackageLoader(__package__, "."))
         self.style = render("style.html")
@@ -138,16 +139,20 @@ class Pages:
         if Path(name).suffix.lower() not in TAKEN:
             raise InputError(f"{shown(name)}: neither a recording nor a network; there are {' '.join(TAKEN)}")
         path = self.folder / name
-        if path.exists() or path.is_symlink():
+        if path.exists() or path.is_symlink() or name in self.adding:
             raise InputError(f"{shown(name)}: is there already; rename one of them")
         if int(request.headers.get("content-length") or 0) > LARGEST:
             raise HTTPException(413, f"{shown(name)}: larger than {LARGEST >> 30} GiB; save less of it")
         size = 0
-        with replacing(path) as new, new.open("wb") as out:
-            async for part in request.stream():
-                if (size := size + len(part)) > LARGEST:
-                    raise HTTPException(413, f"{shown(name)}: larger than {LARGEST >> 30} GiB; save less of it")
-                out.write(part)
+        self.adding.add(name)
+        try:
+            with replacing(path) as new, new.open("wb") as out:
+                async for part in request.stream():
+                    if (size := size + len(part)) > LARGEST:
+                        raise HTTPException(413, f"{shown(name)}: larger than {LARGEST >> 30} GiB; save less of it")
+                    out.write(part)
+        finally:
+            self.adding.discard(name)
         return JSONResponse({"bytes": size}, headers=HEADERS)
 
     def _form(self, request: Request) -> Form:
