@@ -58,6 +58,44 @@ def _select(xp, n):
     return xp.where(n[..., :size] >= 0, n[..., size : 2 * size], n[..., 2 * size :])
 
 
+_ATANH = tuple(1 / k for k in range(35, 0, -2))  # of atanh(s) / s in s^2, exact to a bit up to s = 1 / 3
+
+
+def _softfall(xp, n):
+    """ln(1 + exp(-|n|)) as 2 atanh(t / (2 + t)) of t = exp(-|n|)."""
+    t = xp.exp(-abs(n))
+    s = t / (2.0 + t)
+    found = 0.0 * s
+    for c in _ATANH:
+        found = found * (s * s) + c
+    return 2.0 * s * found
+
+
+_ERFC = (  # Chebyshev's coefficients of ln(erfc(z) exp(z^2) / t) in 2 t - 1, t = 2 / (2 + z); the last one first
+    1.210237189224279e-16, -9.457494571291233e-17, -1.5230282014571043e-15, 7.106097613609237e-15,
+    3.810905255189232e-16, -1.1270822361367252e-13, 3.130921399342958e-13, 8.944879273090725e-13,
+    -6.886027526497553e-12, 2.3940380830391146e-12, 9.646791102015527e-11, -2.273651222931836e-10,
+    -9.91364156493033e-10, 5.059343495551469e-09, 6.5290544390988515e-09, -8.523809591492654e-08,
+    1.5626441722066142e-08, 1.3036558355805232e-06, -1.6242900046470256e-06, -2.0278578112534242e-05,
+    4.252332480690777e-05, 0.00036683949785276145, -0.0009465953444820369, -0.009561514786808632,
+    0.019476473204185836, 0.6419697923564902,
+)  # fmt: skip
+_ERFC_0 = -0.6513268598908547  # the first of them
+
+
+def _normal(xp, n):
+    """The distribution function of the normal distribution, by erfc(z) = t exp(-z^2 + sum)."""
+    z = xp.clip(abs(n), 0.0, 40.0) * math.sqrt(0.5)  # the tail beyond is 0
+    t = 2.0 / (2.0 + z)
+    y = 4.0 * t - 2.0
+    d = 0.0 * t
+    before = 0.0 * t
+    for c in _ERFC:
+        d, before = y * d - before + c, d
+    tail = 0.5 * t * xp.exp(_ERFC_0 + 0.5 * y * d - before - z * z)
+    return xp.where(n >= 0, 1.0 - tail, tail)
+
+
 ACTIVATIONS: dict[str, Activation] = {
     "tansig": Activation(
         value=lambda xp, n: xp.tanh(n),
@@ -137,6 +175,22 @@ ACTIVATIONS: dict[str, Activation] = {
         lowered="table",
         symmetry="odd",
         flat_from=lambda decades, most: math.exp(decades) - 1.0,
+    ),
+    "softfall": Activation(
+        value=_softfall,
+        slope=lambda xp, y, n: -xp.sign(n) * xp.exp(-abs(n)) / (1.0 + xp.exp(-abs(n))),
+        image=(0.0, math.log(2)),
+        lowered="table",
+        symmetry="even",
+        flat_from=lambda decades, most: decades,
+    ),
+    "normal": Activation(
+        value=_normal,
+        slope=lambda xp, y, n: xp.exp(-0.5 * n * n) / math.sqrt(2 * math.pi),
+        image=(0.0, 1.0),
+        lowered="table",
+        symmetry="complement",
+        flat_from=lambda decades, most: math.sqrt(2 * decades),
     ),
 }
 

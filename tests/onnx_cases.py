@@ -18,6 +18,7 @@ from greygate.models.importers.onnx_graph import from_onnx
 OPSETS = range(17, onnx.defs.onnx_opset_version() + 1)
 AGREED = 1e-6  # of the largest answer, or of 1
 STEPS = 6
+IMAGE = 4  # axes: all numbers are one sample
 ML = "ai.onnx.ml"
 RNG = np.random.default_rng(0)
 
@@ -525,7 +526,7 @@ def difference(case: Case, network: Any, path: Path) -> float:
             rows[n] = (
                 np.moveaxis(feeds[n], at, 0).reshape(s[at], -1)
                 if at is not None
-                else feeds[n].reshape(-1, s[-1] if s else 1)
+                else feeds[n].reshape(*([1, -1] if len(s) >= IMAGE else [-1, s[-1] if s else 1]))
             )
         count = max(len(r) for r in rows.values())
         x = np.concatenate([np.resize(r, (count, r.shape[1])) for r in rows.values()], 1)

@@ -95,17 +95,15 @@ class Refused(nn.Module):
 
 UNSUPPORTED = {
     "softmax": lambda y: torch.softmax(y, -1),
-    "gelu": lambda y: torch.nn.functional.gelu(y),
     "layer_norm": lambda y: torch.nn.functional.layer_norm(y, (4,)),
     "exp": torch.exp,
     "sin": torch.sin,
     "div": lambda y: y[:2] / y[2:],
-    "max": lambda y: torch.max(y),
     "pow": lambda y: torch.abs(y) ** 0.5,
     "sort": lambda y: torch.sort(y)[0],
     "cumprod": lambda y: torch.cumprod(y, 0),
     "matmul": lambda y: y[:2] @ y[2:],
-    "softplus": torch.nn.functional.softplus,
+    "logsumexp": lambda y: torch.logsumexp(y, 0),
 }
 
 
@@ -114,6 +112,38 @@ def test_an_operation_that_a_network_cannot_carry_is_named_with_its_line(name):
     with pytest.raises(InputError) as found:
         from_torch(Refused(UNSUPPORTED[name]), ["a", "b", "c"], [f"y{k}" for k in range(4)])
     assert re.match(rf"operation \w*{name}\w* at .*test_importers.py:\d+: .+: .+", str(found.value)), found.value
+
+
+SHAPES = {
+    "elu": nn.ELU(0.7), "selu": nn.SELU(inplace=True), "celu": nn.CELU(0.6), "softplus": nn.Softplus(2.0),
+    "softplus, cut": nn.Softplus(1.0, 0.5), "gelu": nn.GELU(), "gelu by tanh": nn.GELU("tanh"), "silu": nn.SiLU(),
+    "mish": nn.Mish(), "softsign": nn.Softsign(), "hardswish": nn.Hardswish(), "prelu": nn.PReLU(4),
+    "log_sigmoid": nn.LogSigmoid(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_shape_of_neuron_answers_as_torch(name):
+    module = nn.Sequential(nn.Linear(2, 4), SHAPES[name]).double()
+    network, x = from_torch(module, ["a", "b"], [f"y{k}" for k in range(4)]), 4 * signal(STEPS, 2)
+    assert np.abs(free_run(network, x) - module(torch.tensor(x)).detach().numpy()).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        lambda y: torch.max(y, 0)[0],
+        lambda y: torch.amin(y, -1, keepdim=True),
+        lambda y: torch.maximum(y, y.flip(0)),
+        torch.min,
+    ],
+)
+def test_the_largest_and_the_least_of_signals_are_carried(how):
+    module = Refused(how).double()
+    x = signal(STEPS, 3)
+    wanted = np.array([module(torch.tensor(row)).detach().numpy().ravel() for row in x])
+    network = from_torch(module, ["a", "b", "c"], [f"y{k}" for k in range(wanted.shape[1])])
+    assert np.abs(free_run(network, x) - wanted).max() < 1e-12
 
 
 def test_a_recurrent_layer_of_both_directions_is_refused():

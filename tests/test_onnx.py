@@ -6,7 +6,7 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
-from onnx_cases import ML, OPSETS, Case, built, cases, f, i, judged, node_cases, one, recurrent
+from onnx_cases import ML, OPSETS, Case, X, built, cases, f, i, judged, node_cases, one, recurrent
 
 from greygate.errors import InputError
 from greygate.models.importers import onnx_file
@@ -149,9 +149,161 @@ def test_the_usual_activations_of_a_recurrent_operator_may_be_written_out(tmp_pa
     right(recurrent("RNN", 21, ["T", 1, 3], activations=["Relu"]).model, tmp_path)
 
 
-def test_several_exponents_are_refused_and_several_equal_ones_carried(tmp_path):
-    assert "operation Pow: several exponents" in refusal(one("Pow", [2], np.float32([2, 3]), opset=18), tmp_path)
-    right(one("Pow", [3], np.float32([2, 2, 2]), opset=18), tmp_path)
+def test_every_element_is_raised_to_its_own_exponent(tmp_path):
+    for exponents in ([2.0, 3.0], [2.0, 2.0], [[1.0, 4.0], [0.0, 3.0]]):
+        right(one("Pow", [2], np.float32(exponents), opset=18), tmp_path)
+    assert "operation Pow: the power 0.5; 2, 3 and 4 can be carried" in refusal(
+        one("Pow", [2], np.float32([2, 0.5]), opset=18), tmp_path
+    )
+
+
+CARRIED = {  # name -> the model
+    **{op: one(op, [1, 3], opset=20) for op in ("Elu", "Selu", "Celu", "Softplus", "Gelu", "Mish", "HardSwish", "Erf")},
+    **{op: one(op, [1, 3], opset=20) for op in ("ThresholdedRelu", "Shrink", "Sign")},
+    "Elu, alpha": one("Elu", [3], opset=20, alpha=0.4),
+    "Gelu, tanh": one("Gelu", [3], opset=20, approximate="tanh"),
+    "Shrink, bias": one("Shrink", [3], opset=20, lambd=0.3, bias=0.1),
+    "Max": one("Max", ["N", 3], f(3), opset=20),
+    "Min": one("Min", [1, 3], X, f(1), opset=20),
+    "Mean": one("Mean", [1, 3], X, f(3), opset=20),
+    "ReduceMax": one("ReduceMax", [1, 3], i(1), opset=20),
+    "ReduceMin": one("ReduceMin", [1, 3], i(1), opset=20, keepdims=0),
+    "ReduceSumSquare": one("ReduceSumSquare", [1, 3], i(1), opset=20),
+    "ReduceL1": one("ReduceL1", [1, 3], i(-1), opset=20),
+    "Gemm, constant first": built(
+        [helper.make_node("Reshape", ["x", "s"], ["t"]), helper.make_node("Gemm", ["w", "t", "b"], ["y"])],
+        {"x": [1, 3]}, ["y"], {"s": i(3, 1), "w": f(2, 3), "b": f(2, 1)},
+    ),
+    "Gemm, transA": built(
+        [helper.make_node("Reshape", ["x", "s"], ["t"]), helper.make_node("Gemm", ["t", "w"], ["y"], transA=1)],
+        {"x": [1, 3]}, ["y"], {"s": i(3, 1), "w": f(3, 2)},
+    ),
+    "Pad": one("Pad", [1, 3], i(0, 1, 0, 2), np.float32(0.7), opset=20),
+    "Pad, reflected": one("Pad", [1, 3], i(0, 1, 0, 2), opset=20, mode="reflect"),
+    "Tile": one("Tile", [1, 3], i(1, 2), opset=20),
+    "GatherElements": one("GatherElements", [1, 3], i(2, 0)[None], opset=20, axis=1),
+    "GatherND": one("GatherND", [1, 3], np.array([[0, 2], [0, 1]]), opset=20),
+    "CumSum": one("CumSum", [1, 3], np.array(1), opset=20, reverse=1),
+    "ScatterND": one("ScatterND", [1, 3], np.array([[0, 1]]), f(1), opset=20),
+    "Einsum": built([helper.make_node("Einsum", ["x", "w"], ["y"], equation="bi,ij->bj")], {"x": [1, 3]}, ["y"],
+                    {"w": f(3, 2)}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CARRIED)
+def test_a_shape_of_neuron_or_an_affine_operation_answers_as_by_onnxruntime(name, tmp_path):
+    right(CARRIED[name], tmp_path)
+
+
+COMPARED = {
+    "Greater": ["Greater"], "Less": ["Less"], "GreaterOrEqual": ["GreaterOrEqual"], "LessOrEqual": ["LessOrEqual"],
+    "Not": ["Less", "Not"], "And": ["Less", "And"], "Or": ["Greater", "Or"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", COMPARED)
+def test_a_comparison_chooses_as_by_onnxruntime(name, tmp_path):
+    first, *then = COMPARED[name]
+    nodes = [helper.make_node(first, ["x", "w"], ["c"]), helper.make_node("Less", ["x", "v"], ["d"])]
+    nodes += [helper.make_node(op, ["c"] if op == "Not" else ["c", "d"], ["e"]) for op in then]
+    last = "e" if then else "c"
+    nodes.append(helper.make_node("Where", [last, "x", "v"], ["chosen"]))
+    nodes.append(helper.make_node("Cast", [last], ["number"], to=TensorProto.FLOAT))
+    nodes.append(helper.make_node("Add", ["chosen", "number"], ["y"]))
+    right(built(nodes, {"x": [1, 3]}, ["y"], {"w": np.float32([0.2]), "v": np.float32([-0.3])}), tmp_path)
+
+
+SPACE = {  # operation, its constants and options; of the input [1, 6] as [1, 2, 3] or [1, 2, 1, 3]
+    "Conv": ([1, 2, 3], "Conv", [f(4, 2, 2), f(4)], {}),
+    "Conv, all of them": ([1, 2, 3], "Conv", [f(4, 2, 2)], {"pads": [2, 1], "strides": [2], "dilations": [2]}),
+    "Conv, two groups": ([1, 2, 3], "Conv", [f(4, 1, 2), f(4)], {"group": 2}),
+    "Conv of an image": ([1, 2, 1, 3], "Conv", [f(3, 2, 1, 2)], {"auto_pad": "SAME_UPPER"}),
+    "Conv, SAME_LOWER": ([1, 2, 3], "Conv", [f(3, 2, 2)], {"auto_pad": "SAME_LOWER", "strides": [2]}),
+    "ConvTranspose": ([1, 2, 3], "ConvTranspose", [f(2, 2, 2)], {}),
+    "AveragePool": ([1, 2, 3], "AveragePool", [], {"kernel_shape": [2], "pads": [1, 0]}),
+    "AveragePool, the pads": ([1, 2, 3], "AveragePool", [], {"kernel_shape": [2], "pads": [1, 0],
+                                                            "count_include_pad": 1}),
+    "MaxPool": ([1, 2, 3], "MaxPool", [], {"kernel_shape": [2], "strides": [1]}),
+    "GlobalAveragePool": ([1, 2, 3], "GlobalAveragePool", [], {}),
+    "GlobalMaxPool": ([1, 2, 1, 3], "GlobalMaxPool", [], {}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SPACE)
+def test_a_convolution_or_a_pool_answers_as_by_onnxruntime(name, tmp_path):
+    shape, op, constants, options = SPACE[name]
+    names = [f"c{k}" for k in range(len(constants))]
+    nodes = [
+        helper.make_node("Reshape", ["x", "s"], ["t"]),
+        helper.make_node(op, ["t", *names], ["r"], **options),
+        helper.make_node("Flatten", ["r"], ["y"]),
+    ]
+    fixed = dict(zip(names, constants, strict=True)) | {"s": i(*shape)}
+    right(built(nodes, {"x": [1, 6]}, ["y"], fixed), tmp_path)
+
+
+def test_the_fully_connected_layers_of_matlab_are_convolutions_over_an_image(tmp_path):
+    nodes = [
+        helper.make_node("Sub", ["x", "mean"], ["a"]),
+        helper.make_node("Conv", ["a", "w", "b"], ["c"], kernel_shape=[5, 1]),
+        helper.make_node("Relu", ["c"], ["r"]),
+        helper.make_node("Conv", ["r", "v"], ["y"], kernel_shape=[1, 1]),
+    ]
+    fixed = {"mean": f(1, 1, 5, 1), "w": f(4, 1, 5, 1), "b": f(4), "v": f(2, 4, 1, 1)}
+    model = built(nodes, {"x": [1, 1, 5, 1]}, ["y"], fixed, opset=8)
+    model.ir_version = 3
+    model.graph.input.extend(
+        helper.make_tensor_value_info(t.name, t.data_type, t.dims) for t in model.graph.initializer
+    )
+    network = from_onnx(saved(model, tmp_path))
+    x = np.random.default_rng(0).normal(size=(9, 5))
+    got = network.run({p.name: x[:, k] for k, p in enumerate(network.inputs)})
+    hidden = np.maximum((x - fixed["mean"].ravel()) @ fixed["w"].reshape(4, 5).T + fixed["b"], 0)
+    assert np.abs(np.column_stack(list(got.values())) - hidden @ fixed["v"].reshape(2, 4).T).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("op", "why"),
+    [
+        ("Conv", "the kernel must be a constant"),
+        ("Einsum", "two of its factors are signals"),
+        ("ConvTranspose", "c must be a constant"),
+    ],
+)
+def test_a_product_of_signals_within_an_operation_is_refused(op, why, tmp_path):
+    options = {"equation": "abi,abi->ab"} if op == "Einsum" else {}
+    nodes = [
+        helper.make_node("Reshape", ["x", "s"], ["t"]),
+        helper.make_node("Tanh", ["t"], ["c"]),
+        helper.make_node(op, ["t", "c"], ["y"], **options),
+    ]
+    assert why in refusal(built(nodes, {"x": [1, 3]}, ["y"], {"s": i(1, 1, 3)}), tmp_path)
+
+
+OF_CONSTANTS = {
+    "Softmax": {}, "LogSoftmax": {}, "Celu": {}, "Gelu": {}, "Mish": {}, "Shrink": {}, "ThresholdedRelu": {},
+    "Hardmax": {}, "LpNormalization": {},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("op", OF_CONSTANTS)
+def test_an_operation_on_weights_leaves_them_constant(op, tmp_path):
+    nodes = [helper.make_node(op, ["w"], ["v"]), helper.make_node("MatMul", ["x", "v"], ["y"])]
+    right(built(nodes, {"x": [1, 3]}, ["y"], {"w": f(3, 2)}, 20), tmp_path)
+
+
+def test_weights_of_whole_numbers_with_a_scale_and_a_zero_point_are_read(tmp_path):
+    nodes = [helper.make_node("DequantizeLinear", ["w", "s", "z"], ["v"], axis=1)]
+    nodes.append(helper.make_node("MatMul", ["x", "v"], ["y"]))
+    fixed = {
+        "w": np.array([[7, 250], [0, 3], [128, 9]], np.uint8),
+        "s": np.float32([0.1, 0.25]),
+        "z": np.array([3, 128], np.uint8),
+    }
+    network = from_onnx(saved(built(nodes, {"x": [1, 3]}, ["y"], fixed), tmp_path))
+    found = network.run({p.name: np.full(1, v) for p, v in zip(network.inputs, (1.0, -2.0, 0.5), strict=True)})
+    weights = (fixed["w"].astype(float) - fixed["z"]) * fixed["s"]
+    assert np.allclose([v[0] for v in found.values()], np.array([1.0, -2.0, 0.5]) @ weights, atol=1e-6)
 
 
 def test_the_powers_0_and_1_and_a_slope_for_each_channel_are_carried(tmp_path):

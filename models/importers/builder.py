@@ -8,6 +8,7 @@ before a tanh is one layer, with the weights of all of them.
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 
@@ -97,10 +98,9 @@ class Value:
         """The last axis n becomes m: matrix (m, n) @ each."""
         m, n = matrix.shape
         count = self.size // n
-        _room(count * m * max(count * n, 1))
-        whole = np.kron(np.eye(count), matrix) if count > 1 else matrix
-        weights = {s: whole @ w for s, w in self.weights.items()}
-        return Value((*self.shape[:-1], m), whole @ self.bias, weights)
+        _room(count * m * (1 + sum(w.shape[1] for w in self.weights.values())))
+        weights = {s: (matrix @ w.reshape(count, n, -1)).reshape(count * m, -1) for s, w in self.weights.items()}
+        return Value((*self.shape[:-1], m), (self.bias.reshape(count, n) @ matrix.T).reshape(-1), weights)
 
 
 def word(text: str) -> str:
@@ -194,6 +194,34 @@ class Builder:
         self._layer(name, three.bias, three.weights, "select")
         return Value(above.shape, np.zeros(above.size), {(name, 0): np.eye(above.size)})
 
+    def chosen(self, condition: Value, above: Value, below: Value, hint: str) -> Value:
+        """As `selected`, with NumPy's broadcasting."""
+        given = (condition, above, below)
+        shape = np.broadcast_shapes(*(v.shape for v in given))
+        one, two, three = (v.moved(lambda i: np.broadcast_to(i, shape)) for v in given)
+        return self.selected(one, two, three, hint)
+
+    def maximum(self, a: Value, b: Value, hint: str) -> Value:
+        return self.chosen(a.plus(b.times(-1.0)), a, b, hint)
+
+    def minimum(self, a: Value, b: Value, hint: str) -> Value:
+        return self.chosen(b.plus(a.times(-1.0)), a, b, hint)
+
+    def at_least(self, a: Value, b: Value, hint: str) -> Value:
+        """1 where a >= b, else 0."""
+        return self.activated(a.plus(b.times(-1.0)), "hardlim", hint)
+
+    def largest(self, value: Value, axes: Sequence[int], keep: bool, hint: str) -> Value:
+        """The maximum along some axes, along all if none is named. keep: they stay, with one element."""
+        count = len(value.shape)
+        chosen = sorted({a % count for a in axes}) if axes else list(range(count))
+        rest = [k for k in range(count) if k not in chosen]
+        size = int(np.prod([value.shape[k] for k in chosen]))
+        flat = value.moved(lambda i: i.transpose(*rest, *chosen).reshape(-1, size))
+        found = reduce(lambda a, b: self.maximum(a, b, hint), (taken(flat, k, 1) for k in range(size)))
+        shape = [1 if k in chosen else n for k, n in enumerate(value.shape) if keep or k not in chosen]
+        return found.moved(lambda i: i.reshape(shape))
+
     def named(self, name: str, value: Value, activation: str) -> None:
         """A layer of that name, which others may have read before it was there."""
         self._layer(name, value.bias, value.weights, activation)
@@ -234,13 +262,24 @@ class Builder:
         return one.times(0.25).plus(two.times(-0.25)).moved(lambda x: x.reshape(total.shape))
 
     def power(self, value: Value, exponent: float, hint: str = "power") -> Value:
-        """Raised to 0, 1, 2 or 3. Raises InputError for another exponent."""
-        if exponent not in (0, 1, 2, 3):
-            raise InputError(f"the power {exponent:g}; 2 and 3 can be carried")
+        """Raised to 0, 1, 2, 3 or 4. Raises InputError for another exponent."""
+        if exponent not in (0, 1, 2, 3, 4):
+            raise InputError(f"the power {exponent:g}; 2, 3 and 4 can be carried")
         if exponent < 2:
             return value if exponent else constant(np.ones(value.shape))
         square = self.activated(value, "square", hint)
-        return square if exponent == 2 else self.product(value, square, hint)
+        if exponent == 3:
+            return self.product(value, square, hint)
+        return square if exponent == 2 else self.activated(square, "square", hint)
+
+    def powers(self, value: Value, exponents: np.ndarray, hint: str = "power") -> Value:
+        """Every element to its own exponent, with NumPy's broadcasting."""
+        shape = np.broadcast_shapes(value.shape, exponents.shape)
+        wide = value.moved(lambda i: np.broadcast_to(i, shape).ravel())
+        each = np.broadcast_to(exponents, shape).ravel()
+        places = [np.flatnonzero(each == k) for k in np.unique(each)]
+        parts = [self.power(wide.rows(at), float(each[at[0]]), hint) for at in places]
+        return joined(parts, 0).rows(np.argsort(np.concatenate(places)).reshape(shape))
 
     # -- recurrent cells ---------------------------------------------------------------------------------------------
 

@@ -14,9 +14,22 @@ from typing import Any, TypeVar
 import numpy as np
 
 from greygate.errors import InputError, one_line, shown
+from greygate.models.importers import onnx_space
 from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken, titled
+from greygate.models.importers.curves import CURVES
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, STANDARD, array, first, ports_of, read, shape
-from greygate.models.importers.onnx_reference import FOLDED, Imported, Reference, Tensor, check, lengths
+from greygate.models.importers.onnx_reference import (
+    AFFINE,
+    BILINEAR,
+    CHECKED,
+    FOLDED,
+    Imported,
+    Reference,
+    Tensor,
+    check,
+    lengths,
+    samples_of,
+)
 from greygate.models.importers.qonnx import QUANTIZERS, Declaring, Quantized
 from greygate.models.network import Network, Port
 
@@ -102,7 +115,7 @@ def _built(
         for t in tensors
     }
     free = [n for n in names[0] if n not in state], [n for n in names[1] if n not in state.values()] or names[1]
-    shapes = {n: [1] * (len(a) - 1) + lengths(a, {})[-1:] for n, a in axes.items()} | {
+    shapes = {n: [1 if k in samples_of(a) else m for k, m in enumerate(lengths(a, {}))] for n, a in axes.items()} | {
         n: lengths(axes[n], {}) for n in state
     }
     if large := next((n for n, lengths_of in shapes.items() if prod(lengths_of) > PORTS), None):
@@ -113,7 +126,7 @@ def _built(
         for given, tensors in zip((inputs, outputs), free, strict=True)
     ]
     builder = kind(name or titled(path), *ports)
-    samples = next((f"{shown(n)} is {axes[n]}" for n in free[0] if any(k != 1 for k in axes[n][:-1])), "")
+    samples = next((f"{shown(n)} is {axes[n]}" for n in free[0] if samples_of(axes[n])), "")
     walk = _Walk(builder, str(path), Reference(model.opset_import), samples)
     values: dict[str, Value | np.ndarray] = dict(fixed)
     left = list(builder.inputs)
@@ -180,6 +193,7 @@ class _Walk:
         self.node: Any = None
         self.scope: dict[str, Any] = {}
         self.left = NUMBERS
+        self.columns = Reference(reference.opsets, CHECKED, double=True)
 
     def run(self, graph: Any, values: dict[str, Any]) -> None:
         """Add the results of its nodes to the values."""
@@ -222,6 +236,8 @@ class _Walk:
         domain = "" if node.domain in STANDARD else node.domain
         if domain == "" and fixed and given and node.op_type in FOLDED:
             return self.folded(node)
+        if domain == "" and node.op_type in AFFINE:
+            return self.affine(node, given)
         function = next((f.get(node.op_type) for d, f in DOMAINS.items() if domain in d), None)
         if function is None:
             raise self.refused(CARRIED)
@@ -241,6 +257,37 @@ class _Walk:
         except Exception as error:
             raise self.refused(f"its constants cannot be folded ({one_line(str(error))[:100]})") from None
         return [found.get(n) for n in node.output]
+
+    def affine(self, node: Any, given: list[Any]) -> list[Any]:
+        """The results of an operation that is affine in its signals: of their bias, and of each column of weights."""
+        signals = {n: v for n, v in zip(node.input, given, strict=True) if isinstance(v, Value)}
+        allowed = {n for k, n in enumerate(node.input) if k in AFFINE[node.op_type]}
+        if not signals.keys() <= allowed:
+            raise self.refused(f"{min(signals.keys() - allowed)} must be a constant, and is computed from the inputs")
+        if (len(signals) > 1 and node.op_type in BILINEAR) or any(list(node.input).count(n) > 1 for n in signals):
+            raise self.refused("two of its factors are signals; one must be constant")
+        others = {n: v for n, v in zip(node.input, given, strict=True) if n and n not in signals}
+        values = [v if isinstance(v, np.ndarray) else v.constant for v in others.values()]
+        fixed = dict(zip(others, (v.astype(float) if v.dtype.kind == "f" else v for v in values), strict=True))
+
+        def result(part: Callable[[Value], np.ndarray]) -> np.ndarray:
+            filled = {n: part(v).reshape(v.shape) for n, v in signals.items()}
+            return next(iter(self.columns.run(node, {**fixed, **filled}).values()))
+
+        whole, zero = result(lambda v: v.bias), result(lambda v: np.zeros(v.size)).ravel()
+        widths = {s: w.shape[1] for v in signals.values() for s, w in v.weights.items()}
+        self.room(whole.size * sum(widths.values()))
+        weights = {}
+        for s, n in widths.items():
+            parts = [{id(v): v.weights.get(s, np.zeros((v.size, n)))[:, j] for v in signals.values()} for j in range(n)]
+            columns = [result(lambda v, of=part: of[id(v)]) for part in parts]  # type: ignore[misc]
+            weights[s] = np.stack([c.ravel() - zero for c in columns], 1)
+        return [Value(whole.shape, whole.ravel(), weights)]
+
+    def room(self, count: int) -> None:
+        """Raise InputError for more numbers than a result may have."""
+        if count > NUMBERS:
+            raise self.refused(f"it reads or gives {count} numbers; at most {NUMBERS} are taken")
 
     def refused(self, why: str) -> InputError:
         node = self.node
@@ -266,8 +313,8 @@ class _Walk:
 
 
 CARRIED = (
-    "a network carries sums, products with constants and of two signals, slices, joins, Tanh, Sigmoid, Relu, Clip, Abs "
-    "and recurrent operators of them; replace it, or approximate it by such a part"
+    "a network carries sums, products with constants and of two signals, slices, joins, Tanh, Sigmoid, Relu, Elu, "
+    "Gelu, Clip, Max, Where, Conv and recurrent operators of them; replace it, or approximate it by such a part"
 )
 
 
@@ -298,10 +345,8 @@ def _gemm(
     transA: int = 0,
     transB: int = 0,
 ) -> Value:
-    if transA:
-        raise walk.refused("transA = 1: the signal's batch would be summed over")
-    matrix = walk.fixed(b, "the matrix")
-    out = a.linear(matrix if transB else matrix.T).times(alpha)
+    one, two = (v.moved(np.transpose) if turned else v for v, turned in ((a, transA), (b, transB)))
+    out = _matmul(walk, one, two).times(alpha)
     return out if c is None else out.plus(c.times(beta))
 
 
@@ -331,11 +376,54 @@ def _clip(walk: _Walk, x: Value, low: Value | None = None, high: Value | None = 
 
 
 def _power(walk: _Walk, x: Value, n: Value) -> Value:
-    exponents = walk.fixed(n, "the exponent")
-    if (exponents != exponents.flat[0]).any():
-        raise walk.refused("several exponents; split it, one Pow for each")
-    shape = np.broadcast_shapes(x.shape, exponents.shape)
-    return walk.builder.power(x.moved(lambda i: np.broadcast_to(i, shape)), float(exponents.flat[0]), walk.hint)
+    return walk.builder.powers(x, walk.fixed(n, "the exponent"), walk.hint)
+
+
+def _where(walk: _Walk, condition: Value, above: Value, below: Value) -> Value:
+    return walk.builder.chosen(condition.plus(constant(-0.5)), above, below, walk.hint)  # it is 1 or 0
+
+
+def _not(x: Value) -> Value:
+    return x.times(-1.0).plus(constant(1.0))
+
+
+def _truth(least: float) -> Callable:
+    """1 where so many of two truths hold, each 1 or 0."""
+    return lambda walk, a, b: walk.builder.at_least(a.plus(b), constant(least), walk.hint)
+
+
+def _extreme(sign: float) -> Callable:
+    """The maximum (1) or the minimum (-1) of several."""
+
+    def run(walk: _Walk, *values: Value) -> Value:
+        turned = (v.times(sign) for v in values)
+        return reduce(lambda a, b: walk.builder.maximum(a, b, walk.hint), turned).times(sign)
+
+    return run
+
+
+def _along(sign: float) -> Callable:
+    """The maximum or the minimum along axes."""
+    return lambda walk, x, *rest, **options: _reduced(
+        lambda v, axes, keep: walk.builder.largest(v.times(sign), axes, keep, walk.hint).times(sign)
+    )(walk, x, *rest, **options)
+
+
+def _absolute(walk: _Walk, x: Value) -> Value:
+    return walk.builder.rectified(x, -1.0, walk.hint)
+
+
+def _squared(walk: _Walk, x: Value) -> Value:
+    return walk.builder.power(x, 2, walk.hint)
+
+
+def _of(part: Callable) -> Callable:
+    """A sum along axes of a function of each element."""
+    return lambda walk, x, *rest, **options: _reduced(Value.summed)(walk, part(walk, x), *rest, **options)
+
+
+def _curve(how: Callable) -> Callable:
+    return lambda walk, x, **options: how(walk.builder, x, walk.hint, **options)
 
 
 def _slice(walk: _Walk, x: Value, *rest: Value | None) -> Value:
@@ -537,7 +625,28 @@ FUNCTIONS: dict[str, Callable] = {
     "Relu": lambda walk, x: walk.builder.rectified(x, 0.0, walk.hint),
     "PRelu": lambda walk, x, slope: walk.builder.rectified(x, walk.fixed(slope, "the slope"), walk.hint),
     "LeakyRelu": lambda walk, x, alpha=0.01: walk.builder.rectified(x, alpha, walk.hint),
-    "Abs": lambda walk, x: walk.builder.rectified(x, -1.0, walk.hint),
+    "Abs": _absolute,
+    **{name: _curve(how) for name, how in CURVES.items()},
+    "Max": _extreme(1.0),
+    "Min": _extreme(-1.0),
+    "Mean": lambda walk, *values: reduce(Value.plus, values).times(1 / len(values)),
+    "ReduceMax": _along(1.0),
+    "ReduceMin": _along(-1.0),
+    "ReduceSumSquare": _of(_squared),
+    "ReduceL1": _of(_absolute),
+    "Where": _where,
+    "GreaterOrEqual": lambda walk, a, b: walk.builder.at_least(a, b, walk.hint),
+    "LessOrEqual": lambda walk, a, b: walk.builder.at_least(b, a, walk.hint),
+    "Greater": lambda walk, a, b: _not(walk.builder.at_least(b, a, walk.hint)),
+    "Less": lambda walk, a, b: _not(walk.builder.at_least(a, b, walk.hint)),
+    "Not": lambda walk, x: _not(x),
+    "And": _truth(1.5),
+    "Or": _truth(0.5),
+    "Conv": onnx_space.conv,
+    "AveragePool": onnx_space.average,
+    "MaxPool": onnx_space.largest,
+    "GlobalAveragePool": onnx_space.whole(Value.mean),
+    "GlobalMaxPool": lambda walk, x: walk.builder.largest(x, list(range(2, len(x.shape))), True, walk.hint),
     "HardSigmoid": lambda walk, x, alpha=0.2, beta=0.5: walk.builder.clipped(
         x.times(alpha).plus(constant(beta)), 0.0, 1.0, walk.hint
     ),

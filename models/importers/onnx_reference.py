@@ -17,6 +17,7 @@ AGREED = 1e-6  # of the largest answer: float64 on both sides, and products of s
 LEAST = 1e-12  # what is smaller is the rounding of an answer that should be 0
 CHECKED = 4 * ELEMENTS  # numbers that the comparison with the reference may compute
 ROWS = 4096  # samples of a window or a batch that are tried
+IMAGE = 4  # axes: batch, channels, height, width
 SAMPLES = 3  # of an axis whose length is free
 SPREAD = (0.3, 1.0, 3.0)  # of the numbers that are tried, one sample each
 
@@ -25,12 +26,14 @@ ELEMENTWISE = {
     "Elu", "Equal", "Erf", "Exp", "Floor", "Greater", "GreaterOrEqual", "HardSigmoid", "HardSwish", "IsInf", "IsNaN",
     "LeakyRelu", "Less", "LessOrEqual", "Log", "Max", "Mean", "Min", "Mod", "Mul", "Neg", "Not", "Or", "PRelu", "Pow",
     "Reciprocal", "Relu", "Round", "Selu", "Sigmoid", "Sign", "Sin", "Sinh", "Softplus", "Softsign", "Sqrt", "Sub",
-    "Sum", "Tan", "Tanh", "Where", "Xor",
+    "Sum", "Tan", "Tanh", "Where", "Xor", "Celu", "Gelu", "Hardmax", "LogSoftmax", "LpNormalization", "Mish", "Shrink",
+    "Softmax", "Swish", "ThresholdedRelu",
 }  # fmt: skip
 REARRANGING = {
     "ArgMax", "ArgMin", "Cast", "CastLike", "Concat", "CumSum", "EyeLike", "Flatten", "Identity", "ReduceL1",
     "ReduceL2", "ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum", "ReduceSumSquare", "Reshape",
-    "Shape", "Size", "Slice", "Split", "Squeeze", "Transpose", "Trilu", "Unsqueeze",
+    "Shape", "Size", "Slice", "Split", "Squeeze", "Transpose", "Trilu", "Unsqueeze", "DequantizeLinear",
+    "GatherElements", "QuantizeLinear", "ReduceLogSum", "ReduceLogSumExp", "ScatterElements", "ScatterND", "TopK",
 }  # fmt: skip
 """Operations whose results have no more numbers than what they read."""
 
@@ -64,12 +67,29 @@ GROWING: Mapping[str, Callable[..., int]] = {
     "Range": _counted,
     "Gather": lambda x, places: _extent(x.shape) * _extent(places.shape),
     "Pad": _padded,
+    "GatherND": lambda x, places: _extent(x.shape) * _extent(places.shape),
+    "OneHot": lambda places, depth, values: _extent(places.shape) * max(int(np.max(depth)), 1),
+    "Einsum": lambda *factors: prod(_extent(f.shape) for f in factors),
+    "Conv": lambda x, w, *_: _extent(x.shape) * _extent(w.shape),
+    "ConvTranspose": lambda x, w, *_: _extent(x.shape) * _extent(w.shape),
     "MatMul": _product,
     "Gemm": _multiplied,
 }
 """Operation -> how many numbers its result has at most."""
 FOLDED = ELEMENTWISE | REARRANGING | GROWING.keys()
 """What is computed where every input is a constant: always the same, in a time that its numbers bound."""
+
+AFFINE: Mapping[str, tuple[int, ...]] = {
+    "ConvTranspose": (0,), "CumSum": (0,), "DepthToSpace": (0,), "Einsum": (0, 1), "GatherElements": (0,),
+    "GatherND": (0,), "Pad": (0,), "ScatterElements": (0, 2), "ScatterND": (0, 2), "SpaceToDepth": (0,), "Tile": (0,),
+    "Trilu": (0,),
+}  # fmt: skip
+"""Operation -> the inputs in which it is affine, together; the others must be constant."""
+BILINEAR = {"ConvTranspose", "Einsum"}
+
+
+NEWER = {"DequantizeLinear": 19, "QuantizeLinear": 19}
+"""Operation -> the least opset that the reference has it of; an older one is the same with fewer types."""
 
 
 class Reference:
@@ -101,7 +121,8 @@ class Reference:
         ]
         outs = [helper.make_tensor_value_info(n, 0, None) for n in node.output if n]
         graph = helper.make_graph([node], "one", ins, outs)
-        return ReferenceEvaluator(helper.make_model(graph, opset_imports=list(self.opsets)), new_ops=_mended())
+        opsets = [helper.make_opsetid(o.domain, max(o.version, NEWER.get(node.op_type, 0))) for o in self.opsets]
+        return ReferenceEvaluator(helper.make_model(graph, opset_imports=opsets), new_ops=_mended())
 
     def _spend(self, node: Any, given: Sequence[np.ndarray | None]) -> None:
         arrays = [v for v in given if v is not None]
@@ -211,6 +232,14 @@ def lengths(axes: Sequence[int | str], free: Mapping[str, int]) -> list[int]:
     return [n if isinstance(n, int) else free.get(n, 1) for n in named(axes)]
 
 
+def samples_of(axes: Sequence[int | str]) -> list[int]:
+    """The axes along which an input holds samples: all but the last one whose length is free or above 1.
+
+    Of an image, such as MATLAB's, only those of free length: all its numbers are one sample.
+    """
+    return [k for k, n in enumerate(axes[:-1]) if not isinstance(n, int) or (n > 1 and len(axes) < IMAGE)]
+
+
 def check(made: Imported, where: str) -> None:
     """Compare the network with the model: one step, then several samples along each axis whose length is not 1.
 
@@ -219,7 +248,7 @@ def check(made: Imported, where: str) -> None:
     """
     every = [t.axes for t in made.inputs] + [axes for _, axes, _ in made.states.values()]
     free = dict.fromkeys(n for axes in every for n in named(axes) if isinstance(n, str))
-    windows = [(t, k, n) for t in made.inputs for k, n in enumerate(t.axes[:-1]) if isinstance(n, int) and n > 1]
+    windows = [(t, k, n) for t in made.inputs for k in samples_of(t.axes) if isinstance(n := t.axes[k], int)]
     reference = Reference(made.opsets, CHECKED, double=True)
     advice = "a network takes one sample a step: export the model with that axis 1"
     if windows:
@@ -227,20 +256,31 @@ def check(made: Imported, where: str) -> None:
         place = f"{where}: input {shown(tensor.name)} holds {length} samples along its axis {axis}"
         if any(c.delay for c in made.network.flatten().connections):
             raise InputError(f"{place}, and its state would begin anew behind them; {advice}")
-        if off := _difference(made, {}, reference):
+        if off := _differences(made, {}, reference):
             raise InputError(f"{place}, which the model mixes ({off}); {advice}")
     elif off := _difference(made, {}, reference):
         raise InputError(f"{where}: the network made of it does not answer as the model ({off}); please report this")
     for axis_name in free:
-        if off := _difference(made, {axis_name: SAMPLES}, reference):
+        if off := _differences(made, {axis_name: SAMPLES}, reference):
             raise InputError(
                 f"{where}: along {shown(axis_name)}, an axis whose length is free, the model mixes samples ({off}); "
                 f"{advice}"
             )
 
 
-def _difference(made: Imported, free: Mapping[str, int], reference: Reference) -> str | None:
-    """What differs, in words; None if nothing does. free: lengths of axes that are free, 1 if not named."""
+def _differences(made: Imported, free: Mapping[str, int], reference: Reference) -> str | None:
+    """As `_difference`; the samples grow, then shrink: the last one is neither always the largest nor the least."""
+    found = (_difference(made, free, reference, spread) for spread in (SPREAD, SPREAD[::-1]))
+    return next(filter(None, found), None)
+
+
+def _difference(
+    made: Imported, free: Mapping[str, int], reference: Reference, spread: Sequence[float] = SPREAD
+) -> str | None:
+    """What differs, in words; None if nothing does. free: lengths of axes that are free, 1 if not named.
+
+    spread: of the numbers of each sample.
+    """
     rng = np.random.default_rng(0)
     axes = {t.name: t.axes for t in made.inputs} | {n: a for n, (_, a, _) in made.states.items()}
     shapes = {n: lengths(a, free) for n, a in axes.items()}
@@ -250,9 +290,9 @@ def _difference(made: Imported, free: Mapping[str, int], reference: Reference) -
     for n, shape in shapes.items():
         along = [k for k, name in enumerate(named(axes[n])) if name in free]
         if n not in made.states:
-            along = sorted({*along, *(k for k, length in enumerate(shape[:-1]) if length > 1)})
+            along = sorted({*along, *(k for k in samples_of(axes[n]) if shape[k] > 1)})
         count = prod(shape[k] for k in along)
-        rows[n] = rng.normal(size=(count, prod(shape) // count)) * np.resize(SPREAD, count)[:, None]
+        rows[n] = rng.normal(size=(count, prod(shape) // count)) * np.resize(spread, count)[:, None]
         rest = [length for k, length in enumerate(shape) if k not in along]
         feeds[n] = np.moveaxis(rows[n].reshape([*(shape[k] for k in along), *rest]), range(len(along)), along)
     count = max(len(r) for r in rows.values())

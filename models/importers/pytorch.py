@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from greygate.errors import InputError, shown
+from greygate.models.importers import curves
 from greygate.models.importers.builder import Builder, Value, constant, joined, taken
 from greygate.models.network import Network, Port
 
@@ -461,7 +462,9 @@ class _Walk:
 
         given = {k for n in self.node.all_input_nodes for k in types(n.meta.get("val"))}
         whole = {torch.bool, torch.int64} if base in AFFINE | LOGICAL else {torch.int64}
-        for kind in types(self.node.meta.get("val")):
+        made = self.node.meta.get("val")
+        made = made[0] if base in ("max", "min") and isinstance(made, tuple | list) else made  # without the places
+        for kind in types(made):
             if (torch.float64 in given and kind is torch.int64) or kind not in {torch.float64, *whole}:
                 raise self.refused(base, f"it computes in {kind}, a network in float64; leave that out, or keep floats")
 
@@ -568,8 +571,22 @@ def _divide(walk: _Walk, a: Any, b: Any, rounding_mode: Any = None) -> Value:
     if rounding_mode is not None:
         raise walk.refused("div", "it rounds to whole numbers; leave that out")
     if (by := _value(b).constant) is None:
+        if _of_softsign(*walk.node.args[:2]):
+            return _softsign(walk.builder, _value(a), walk.hint())
         raise walk.refused("div", "the divisor is a signal; multiply by a function of it that you approximate instead")
     return _value(a).times(1.0 / by)
+
+
+def _of_softsign(x: Any, divisor: Any) -> bool:
+    """Whether a divisor is 1 + |x|: torch has no operation of that name."""
+
+    def called(node: Any, name: str) -> bool:
+        return str(getattr(node, "target", "")).startswith(f"aten.{name}.")
+
+    if not called(divisor, "add") or divisor.args[1:] != (1,) or divisor.kwargs:
+        return False
+    inner = divisor.args[0]
+    return called(inner, "abs") and inner.args == (x,)
 
 
 def _fused(kind: str) -> Callable:
@@ -590,10 +607,7 @@ def _activated(kind: str) -> Callable:
 
 def _chosen(walk: _Walk, condition: Value, above: Any, below: Any) -> Value:
     """`above` where the condition is 0 or more, else `below`."""
-    values = [condition, _value(above), _value(below)]
-    shape = np.broadcast_shapes(*(v.shape for v in values))
-    chosen, one, other = (v.moved(lambda i: np.broadcast_to(i, shape)) for v in values)
-    return walk.builder.selected(chosen, one, other, walk.hint())
+    return walk.builder.chosen(condition, _value(above), _value(below), walk.hint())
 
 
 def _less(walk: _Walk, a: Any, b: Any) -> Value:
@@ -631,16 +645,37 @@ def _masked(walk: _Walk, x: Any, mask: Any, other: Any) -> Value:
     return _where(walk, mask, other, x)
 
 
-def _sign(walk: _Walk, x: Value) -> Value:
-    return _chosen(walk, x, _chosen(walk, x.times(-1.0), constant(0.0), constant(1.0)), constant(-1.0))
-
-
 def _maximum(walk: _Walk, a: Any, b: Any) -> Value:
-    return _chosen(walk, _less(walk, a, b), a, b)
+    return walk.builder.maximum(_value(a), _value(b), walk.hint())
 
 
 def _minimum(walk: _Walk, a: Any, b: Any) -> Value:
-    return _chosen(walk, _less(walk, b, a), a, b)
+    return walk.builder.minimum(_value(a), _value(b), walk.hint())
+
+
+def _extreme(sign: float) -> Callable:
+    """The maximum (1) or minimum (-1): of two tensors, or along axes, without its places."""
+
+    def run(walk: _Walk, x: Value, other: Any = (), keep: bool = False) -> Any:
+        if not isinstance(other, int | list | tuple):
+            return (_maximum if sign > 0 else _minimum)(walk, x, other)
+        along = [other] if isinstance(other, int) else list(other)
+        found = walk.builder.largest(_value(x).times(sign), along, bool(keep), walk.hint()).times(sign)
+        return [found, None] if isinstance(other, int) else found
+
+    return run
+
+
+def _curve(how: Callable) -> Callable:
+    return lambda walk, x, *options, **named: how(walk.builder, x, walk.hint(), *options, **named)
+
+
+def _log_sigmoid(builder: Builder, x: Value, hint: str) -> Value:
+    return x.plus(curves.softplus(builder, x, hint).times(-1.0))
+
+
+def _softsign(builder: Builder, x: Value, hint: str) -> Value:
+    return builder.activated(x, "softsign", hint)
 
 
 def _clamp(walk: _Walk, x: Value, low: Any = None, high: Any = None, **options: Any) -> Value:
@@ -664,13 +699,8 @@ def _clamp(walk: _Walk, x: Value, low: Any = None, high: Any = None, **options: 
 def _power(walk: _Walk, x: Any, n: Any) -> Value:
     """Every element to its own exponent."""
     if isinstance(n, Value):
-        raise InputError("its exponent is a signal; 2 and 3 can be carried")
-    n = np.asarray(n, float)
-    shape = np.broadcast_shapes(x.shape, n.shape)
-    wide, each = x.moved(lambda i: np.broadcast_to(i, shape).ravel()), np.broadcast_to(n, shape).ravel()
-    places = [np.flatnonzero(each == k) for k in np.unique(each)]
-    parts = [walk.builder.power(wide.rows(at), float(each[at[0]]), walk.hint()) for at in places]
-    return joined(parts, 0).rows(np.argsort(np.concatenate(places)).reshape(shape))
+        raise InputError("its exponent is a signal; 2, 3 and 4 can be carried")
+    return walk.builder.powers(x, np.asarray(n, float), walk.hint())
 
 
 def _prelu(walk: _Walk, x: Value, slope: Any) -> Value:
@@ -828,11 +858,15 @@ FUNCTIONS: dict[str, Callable] = {
     "hardtanh": lambda walk, x, low=-1.0, high=1.0: _clamp(walk, x, low, high),
     "clamp": _clamp, "clip": _clamp, "clamp_min": _clamp,
     "clamp_max": lambda walk, x, high: _clamp(walk, x, None, high),
-    "maximum": _maximum, "minimum": _minimum,
+    "maximum": _maximum, "minimum": _minimum, "max": _extreme(1.0), "min": _extreme(-1.0), "amax": _extreme(1.0),
+    "amin": _extreme(-1.0),
     "threshold": lambda walk, x, limit, other: _chosen(walk, _less(walk, limit, x), other, x),
-    "hardsigmoid": _unit, "hardswish": lambda walk, x: walk.builder.product(x, _unit(walk, x), walk.hint()),
-    "silu": lambda walk, x: _gated(walk, x, x), "glu": _halves,
-    "where": _where, "sign": _sign, "masked_fill": _masked, "logical_not": _not, "bitwise_not": _not,
+    "hardsigmoid": _unit, "hardswish": _curve(curves.hardswish),
+    "silu": _curve(curves.silu), "glu": _halves, "elu": _curve(curves.elu), "celu": _curve(curves.celu),
+    "gelu": _curve(curves.gelu), "erf": _curve(curves.erf), "mish": _curve(curves.mish), "selu": _curve(curves.selu),
+    "softplus": _curve(curves.softplus), "softsign": _curve(_softsign), "log_sigmoid": _curve(_log_sigmoid),
+    "log_sigmoid_forward": lambda walk, x: [_curve(_log_sigmoid)(walk, x), None],
+    "where": _where, "sign": _curve(curves.sign), "masked_fill": _masked, "logical_not": _not, "bitwise_not": _not,
     **dict.fromkeys(["logical_and", "bitwise_and", "__and__"], _and),
     **dict.fromkeys(["logical_or", "bitwise_or", "__or__"], _or),
     "ge": lambda walk, a, b: walk.builder.activated(_less(walk, a, b), "hardlim", walk.hint()),
