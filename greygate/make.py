@@ -31,7 +31,7 @@ from greygate.pages.validation.judged import advice, judge, long_run
 from greygate.plain import json_text, plain
 from greygate.plants.recording import Recording, run_name
 from greygate.plants.written import entries, text
-from greygate.progress import Progress, silent
+from greygate.progress import Budget, Progress, silent
 from greygate.project import compile_project, verify_project
 from greygate.reporting import study_of
 from greygate.steps import NOTHING, Done, Steps, Told
@@ -189,7 +189,7 @@ def _look(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
 
 
 def _diagnose(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
-    limit = min(DIAGNOSING, asked.seconds / 2)
+    limit = Budget(asked.seconds / 2, DIAGNOSING)
     result, found = ask(asked.task, asked.heads, limit, progress, [*asked.held.values()])
     (new / DIAGNOSIS).write_text(json_text(plain(found)), encoding="utf-8")
     seen, fitted = story.diagnosed(result)

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import partial
 from time import monotonic
 
@@ -22,39 +23,87 @@ class OutOfTime(Exception):
 SEARCHED = 0.6  # of the time that is left, which a search may take: what it finds is to be tested, too
 
 
-class Budget:
-    """The time that work may take: what is `over` ends with the best that it has."""
+_WORK: ContextVar[tuple[int, int]] = ContextVar("work", default=(0, 1))
 
-    def __init__(self, seconds: float = math.inf):
-        self.began = monotonic()
-        self.ends, self.until = self.began + seconds, math.inf
+
+def worked() -> int:
+    """The work that is done, in what `spend` counts: unlike seconds, the same on every computer."""
+    return _WORK.get()[0]
+
+
+def spend(work: int) -> None:
+    """Count work."""
+    done, times = _WORK.get()
+    _WORK.set((done + times * work, times))
+
+
+@contextmanager
+def one_of(alike: int) -> Iterator[Callable[[], int]]:
+    """Inside, the work of one of so many things that are alike: each is counted as if the others had taken as much.
+
+    So none of them sees how far the others are, which may run beside it. Gives what tells the work of this one.
+    """
+    done, times = _WORK.get()
+    with _set(_WORK, (done, times * alike)):
+        yield lambda: (worked() - done) // (times * alike)
+
+
+@dataclass
+class Limit:
+    """A span of a clock. until: an end before its own, if any."""
+
+    clock: Callable[[], float]
+    span: float
+    until: float = math.inf
+
+    def __post_init__(self):
+        self.ends = self.clock() + self.span
+
+    def over(self, late: float = 0.0) -> bool:
+        """Whether it is past, or by so much of it."""
+        end = min(self.ends, self.until) if not late else self.ends + late * self.span
+        return self.clock() >= end
+
+    def search(self) -> None:
+        """End where no more is left than to test what was found."""
+        now = self.clock()
+        self.until = now + SEARCHED * (self.ends - now)
+
+
+class Budget:
+    """The time or the work that something may take: what is `over` ends with the best that it has."""
+
+    def __init__(self, seconds: float = math.inf, work: float = math.inf):
+        self.limits = Limit(lambda: monotonic(), seconds), Limit(worked, work)
 
     @property
     def over(self) -> bool:
-        return monotonic() >= min(self.ends, self.until)
+        return any(limit.over() for limit in self.limits)
 
     def late(self, share: float) -> bool:
-        """Whether so much more than the time is over."""
-        return monotonic() >= self.ends + share * (self.ends - self.began)
+        """Whether so much more than what there is was taken."""
+        return any(limit.over(share) for limit in self.limits)
 
     def stop(self) -> None:
-        """The time is over now."""
-        self.ends = monotonic()
+        """It is over now."""
+        for limit in self.limits:
+            limit.ends = limit.clock()
 
     @contextmanager
     def searching(self) -> Iterator[None]:
-        """Inside, the time is over, and what is in `cut` ends, where no more is left than to test what was found."""
-        now = monotonic()
-        self.until = now + SEARCHED * (self.ends - now)
+        """Inside, it is over, and what is in `cut` ends, where no more is left than to test what was found."""
+        for limit in self.limits:
+            limit.search()
         try:
             with _set(_SEARCHED, self):
                 yield
         finally:
-            self.until = math.inf
+            for limit in self.limits:
+                limit.until = math.inf
 
     @contextmanager
     def held(self, share: float) -> Iterator[None]:
-        """Inside, `check` raises OutOfTime where so much more than the time is over; nothing is `cut`."""
+        """Inside, `check` raises OutOfTime where so much more than what there is was taken; nothing is `cut`."""
         with _set(_SEARCHED, None), _set(_LATE, partial(self.late, share)):
             yield
 

@@ -3,11 +3,14 @@
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar, copy_context
-from functools import cache, wraps
+from dataclasses import dataclass
+from functools import cache, partial, wraps
+from itertools import chain
 from time import perf_counter
-from typing import ParamSpec, TypeVar
+from typing import Generic, ParamSpec, TypeVar
 
 from greygate.models.cores import blas, usable_cores
+from greygate.progress import OutOfTime, one_of, spend
 
 FEW = 3  # items: fewer are done one after the other
 WORTH = 2e-3  # s that the first item takes: below, handing items to threads costs more than it saves
@@ -23,17 +26,49 @@ _inside = ContextVar("inside", default=False)
 def each(function: Callable[[Item], Found], items: Iterable[Item]) -> list[Found]:
     """`function` of every item, in their order. What it finds of one must not depend on the others."""
     items = list(items)
+    one = partial(_one, function, len(items))
     began = perf_counter()
-    first = [function(item) for item in items[:1]]
+    first = [one(item) for item in items[:1]]
     if _inside.get() or len(items) < FEW or CORES < 2 or perf_counter() - began < WORTH:
-        return first + [function(item) for item in items[1:]]
+        return _together(chain(first, map(one, items[1:])))
 
-    def one(item: Item) -> Found:
+    def inside(item: Item) -> _One[Found]:
         _inside.set(True)
-        return function(item)
+        return one(item)
 
-    running = [_pool().submit(copy_context().run, one, item) for item in items[1:]]  # with numpy's error state
-    return first + [done.result() for done in running]
+    running = [_pool().submit(copy_context().run, inside, item) for item in items[1:]]  # with numpy's error state
+    return _together(chain(first, (done.result() for done in running)))
+
+
+@dataclass(frozen=True)
+class _One(Generic[Found]):
+    """What was found of one item, and the work that it took; ended: where that was over, and then the work of all."""
+
+    found: list[Found]
+    work: int
+    ended: OutOfTime | None = None
+
+
+def _one(function: Callable[[Item], Found], alike: int, item: Item) -> _One[Found]:
+    with one_of(alike) as work:
+        try:
+            return _One([function(item)], work())
+        except OutOfTime as problem:
+            return _One([], alike * work(), problem)
+
+
+def _together(ones: Iterable[_One[Found]]) -> list[Found]:
+    """What was found of all, and their work; it ends at the first whose time was over, whatever runs beside it."""
+    out: list[Found] = []
+    work = 0
+    for one in ones:
+        if one.ended:
+            spend(one.work)
+            raise one.ended
+        out += one.found
+        work += one.work
+    spend(work)
+    return out
 
 
 def on_one_thread(function: Callable[Given, Found]) -> Callable[Given, Found]:

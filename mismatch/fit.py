@@ -32,6 +32,7 @@ LOOSE = 50.0  # shifts of one scale by which a smoothed rate may be off where a 
 FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times the noise before it counts
 STEP = 1e-3  # of the scale of an effect's number, for differences; it may act by steps of a signal
 FINE = 1e-5  # likewise to both sides: the truncation of larger ones makes what is known together look known
+SLOPED = 0.05  # of a channel's spread: longer steps that change a run by less change its slopes hardly more
 SHIFTED = 0.1  # of a shift's scale, for differences
 BLOCK = 250  # samples within which errors may depend on each other, for intervals where there are no windows;
 BLOCK_PART = 12  # but no more than such a part of a recording
@@ -92,7 +93,8 @@ class Fit:
     shifts: of the windows' first states, in units of their scales (restarts, locals).
     errors: (target - prediction) / sigma, (samples, channels). weight: of each number's square in the cost (k,).
     cost: sum of squares of the tempered errors, of the shifts and of the numbers, each by its prior.
-    temper: what the errors of each channel were divided by (channels,).
+    temper: what the errors of each channel were divided by (channels,). roughly: whether its slopes are of runs in
+    longer steps, which is enough to rank it.
     """
 
     likelihood: "Likelihood"
@@ -105,6 +107,7 @@ class Fit:
     cost: float
     converged: bool
     temper: np.ndarray
+    roughly: bool = False
 
     @property
     def room(self) -> np.ndarray:
@@ -114,7 +117,7 @@ class Fit:
     @cached_property
     def basis(self):
         """Of each window's shifts: (q, r), or None where nothing is shifted."""
-        return self.likelihood.basis(self.values, self.shifts, self.errors, self.temper)
+        return self.likelihood.basis(self.values, self.shifts, self.errors, self.temper, self.roughly)
 
     @cached_property
     def slopes(self) -> np.ndarray:
@@ -122,15 +125,17 @@ class Fit:
         return self._slopes()
 
     def _slopes(self, both: bool = False) -> np.ndarray:
-        slopes = self.likelihood.slopes(self.unknowns, self.values, self.shifts, self.errors, self.temper, both)
+        slopes = self.likelihood.slopes(
+            self.unknowns, self.values, self.shifts, self.errors, self.temper, both, roughly=self.roughly
+        )
         return self.likelihood.eliminate(slopes, None, self.basis)[0]
 
     def centred(self) -> "Fit":
         """This fit, its slopes by differences to both sides: numbers that are known together only stay so in them."""
-        other = copy.copy(self)
+        other = replace(self, roughly=False) if self.roughly else copy.copy(self)
         for name in ("normal", "information", "covariance"):
             vars(other).pop(name, None)
-        vars(other)["slopes"] = self._slopes(both=True)
+        vars(other)["slopes"] = other._slopes(both=True)
         return other
 
     @cached_property
@@ -273,6 +278,15 @@ def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return one * np.outer(stretch, stretch)
 
 
+def _in_longer_steps(model: Model) -> Model:
+    """A model in the longest steps in which its run hardly differs from what it is, in parts of what is recorded."""
+    run, spread = model.predict(model.values), np.std(model.target, axis=0)
+    for longer in model.longer():
+        if np.all(np.std(longer.predict(model.values) - run, axis=0) <= SLOPED * spread):
+            return longer
+    return model
+
+
 class Likelihood:
     """What a model's recording says of parameters: sigma (samples, channels) weighs the errors.
 
@@ -280,6 +294,8 @@ class Likelihood:
     count: of samples that count, all channels together. windows, block: number of stretches within which errors may
     depend on each other, and their samples; kept: the samples in them. noise: what it is beside that of sigma.
     """
+
+    _rough: tuple[Model, Model] | None = None  # a model, and the same in longer steps
 
     def __init__(self, model: Model):
         self.model = model
@@ -361,16 +377,34 @@ class Likelihood:
         kept = tempered[self.kept]
         return kept.reshape(self.windows, self.block * what.shape[1], *what.shape[2:])
 
-    def basis(self, values: Mapping[str, float], shifts: np.ndarray, errors: np.ndarray, temper: np.ndarray):
-        """(q, r) of each window's own shifts, their prior in the last rows; None where nothing is shifted."""
+    def rough(self) -> "Likelihood":
+        """This likelihood in the longest steps of a simulator from outside that are good enough for slopes."""
+        model = self.model
+        if not model.plant.outside:
+            return self
+        if self._rough is None or self._rough[0] is not model:
+            self._rough = model, _in_longer_steps(model)
+        if (longer := self._rough[1]) is model:
+            return self
+        other = copy.copy(self)
+        other.model = longer
+        return other
+
+    def basis(self, values: Mapping[str, float], shifts: np.ndarray, errors, temper: np.ndarray, roughly=False):
+        """(q, r) of each window's own shifts, their prior in the last rows; None where nothing is shifted.
+
+        roughly: by runs in longer steps.
+        """
         count = shifts.shape[1]
         if count == 0:
             return None
+        rough = self.rough() if roughly else self
+        base = errors if rough is self else rough.errors(values, shifts)
 
         def slope(j: int) -> np.ndarray:
             moved = shifts.copy()
             moved[:, j] += SHIFTED
-            return self.rows(tame(self.errors(values, moved) - errors) / SHIFTED, temper)
+            return self.rows(tame(rough.errors(values, moved) - base) / SHIFTED, temper)
 
         local = np.stack(each(slope, range(count)), axis=2)
         prior = np.broadcast_to(np.diag(np.sqrt(self.heavy)), (self.windows, count, count))
@@ -388,22 +422,33 @@ class Likelihood:
         return rows - q @ inside, inside
 
     def slopes(
-        self, symbols: Sequence[Unknown], values: Mapping[str, float], shifts, errors, temper, both=False, fine=False
+        self,
+        symbols: Sequence[Unknown],
+        values: Mapping[str, float],
+        shifts,
+        errors,
+        temper,
+        both=False,
+        fine=False,
+        roughly=False,
     ) -> np.ndarray:
         """Of `errors` by each unknown's number, (windows, rows, k), by differences to one side or, inside, to both.
 
-        fine: by small ones of the plant's own numbers.
+        fine: by small ones of the plant's own numbers. roughly: by runs in longer steps.
         """
         if not symbols:
             return np.zeros((self.windows, self.block * errors.shape[1], 0))
+
+        rough = self.rough() if roughly and not both else self
+        base = errors if rough is self else rough.errors(values, shifts)
 
         def slope(u: Unknown) -> np.ndarray:
             value = values[u.symbol]
             size = (FINE if both or (fine and np.isfinite(u.prior)) else STEP) * u.scale
             size *= -1 if value + size > u.high else 1
-            moved = self.errors({**values, u.symbol: value + size}, shifts)
+            moved = rough.errors({**values, u.symbol: value + size}, shifts)
             inside = both and u.low <= value - size <= u.high
-            before = self.errors({**values, u.symbol: value - size}, shifts) if inside else errors
+            before = rough.errors({**values, u.symbol: value - size}, shifts) if inside else base
             return self.rows(tame(moved - before) / ((2 if inside else 1) * size / u.scale), temper)
 
         return np.stack(each(slope, symbols), axis=2)
@@ -468,6 +513,7 @@ class _Descent:
     """
 
     both = False  # sides, to which slopes are taken
+    roughly = True  # whether slopes are of runs in longer steps, for as long as those lead down
     fine: bool | None = None  # whether small differences of the plant's numbers serve, as soon as that is known
 
     def __init__(self, likelihood: Likelihood, unknowns: Sequence[Unknown], values: Mapping, shifts: np.ndarray):
@@ -486,7 +532,7 @@ class _Descent:
         at = self.at
         return Fit(
             self.likelihood, self.unknowns, self.fixed, at.numbers, at.shifts, at.errors, self.weight, at.cost,
-            converged, self.temper,
+            converged, self.temper, self.roughly,
         )  # fmt: skip
 
     def point(self, numbers: np.ndarray, shifts: np.ndarray) -> _Point:
@@ -498,7 +544,7 @@ class _Descent:
 
     def run(self, iterations: int, tempered: bool, rival: float, enough: float, slack: float) -> bool:
         """Whether it has converged, after so many iterations or before. Arguments: as for `Likelihood.fit`."""
-        damping, linear = Decades(), None
+        damping, linear, final = Decades(), None, not tempered and rival == np.inf
         for iteration in range(iterations):
             if tempered:
                 self.reweigh()
@@ -507,6 +553,9 @@ class _Descent:
             linear = linear or self.linearised()
             found = self.step(linear, damping, enough, fresh)
             if found is None:
+                if final and self.sharpened():
+                    linear = None
+                    continue
                 return True
             point, promised = found
             if not point.cost < self.at.cost:
@@ -515,12 +564,20 @@ class _Descent:
             gain, self.at = self.at.cost - point.cost, point
             damping.fall()
             if gain < max(enough, slack * (point.cost - self.likelihood.count)):
-                return True
+                if not (final and self.sharpened()):
+                    return True
+                linear = None
+                continue
             if iteration and point.cost - HOPED * gain > rival + max(NEAR * (rival - self.likelihood.count), FAR):
                 return False
             if gain < STRAIGHT * promised or damping.value > 0:
                 linear = None
         return False
+
+    def sharpened(self) -> bool:
+        """Whether slopes become those of the run itself, which they were not."""
+        was, self.roughly = self.roughly, False
+        return was and self.likelihood.rough() is not self.likelihood
 
     def reweigh(self) -> None:
         """Let each channel's errors count less by as much as they exceed the sensors', here."""
@@ -532,10 +589,13 @@ class _Descent:
         """The likelihood linearised here."""
         likelihood, at = self.likelihood, self.at
         values = _values(self.unknowns, at.numbers, self.fixed)
-        basis = likelihood.basis(values, at.shifts, at.errors, self.temper)
+        roughly = self.roughly
+        basis = likelihood.basis(values, at.shifts, at.errors, self.temper, roughly)
         if self.fine is None:
             self.fine = self.smooth()
-        slopes = likelihood.slopes(self.unknowns, values, at.shifts, at.errors, self.temper, self.both, self.fine)
+        slopes = likelihood.slopes(
+            self.unknowns, values, at.shifts, at.errors, self.temper, self.both, self.fine, roughly
+        )
         slopes, explained = likelihood.eliminate(slopes, None, basis)
         flat = flattened(slopes)
         return _Linear(flat, explained, basis, flat.T @ flat)

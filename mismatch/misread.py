@@ -26,7 +26,8 @@ OFTEN = (
 """Units in which sensors and loggers write what equations have in another; those of one line go together."""
 BETTER = 4.0  # times less must a run err, read otherwise: by chance no other reading does that
 PROMISING = 2.0  # times less must the data sheet's run err, read otherwise, or no calibration is worth its time
-TRIED = 2  # readings that are calibrated, at most
+LIKELY = 4  # readings that rank best in longer steps are run as the plant is
+TRIED = 2  # of these are calibrated, at most
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,11 @@ def check(search: Search, calibrated: Fit) -> None:
     as_it_stands = _errors(search.final.residual(calibrated.values), search.final.model.target)
     if max(as_it_stands) <= LOST:
         return
-    before = _score(search.final.model, search.final.model.recording)
-    found = [(_score(search.final.model, reading.recording), reading) for reading in readings(search)]
+    model = search.final.model
+    before = _score(model, model.recording)
+    rough = search.final.rough().model
+    likely = sorted(readings(search), key=lambda reading: _score(rough, reading.recording))[:LIKELY]
+    found = [(_score(model, reading.recording), reading) for reading in likely]
     for score, reading in sorted(found, key=lambda f: f[0])[:TRIED]:
         left = _calibrated(search, reading) if score * PROMISING < before else np.inf
         if left <= LOST and left * BETTER < _mean(as_it_stands):

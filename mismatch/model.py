@@ -24,7 +24,7 @@ from greygate.plants.expressions import names, summands
 from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import Restarted
-from greygate.progress import check
+from greygate.progress import check, spend
 
 TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known well
 EARLY = "input_early"  # a nuisance: part of a sample by which inputs act early, in the mean, as they moved in between;
@@ -140,6 +140,11 @@ class Model:
         return self._compiled.substeps * self._parts
 
     @property
+    def work(self) -> int:
+        """What a run is counted for: steps of its states."""
+        return self.recording.samples * self.steps * len(self.plant.states)
+
+    @property
     def longer_steps(self) -> list[int]:
         """How many steps an unchanging input may be integrated in, fewer than now, in rising order."""
         if self.plant.outside and self.plant.outside.fixed:
@@ -153,6 +158,15 @@ class Model:
         other._compiled = self._compiled.in_steps(steps)
         other._last = (None, np.empty((0, 0)))
         return other
+
+    def longer(self) -> Iterator["Model"]:
+        """The same model in longer steps of time, the longest first."""
+        for steps in (n for n in range(1, self.steps) if self.steps % n == 0):
+            other = copy.copy(self)
+            other._parts = next(parts for parts in range(PARTS, 0, -1) if steps % parts == 0)
+            other._compiled = Restarted(self.plant, self.rig.dt / other._parts, self.rig.dt / steps)
+            other._part()
+            yield other
 
     def driven(self, name: str, signal: np.ndarray) -> "Model":
         """The same model with another signal (samples,) in the place of an input that nothing filters."""
@@ -180,17 +194,22 @@ class Model:
             raise InputError(f"{recording.source}: {few}, record at least so many")
         self._smooth = {source: reach(recording[source], SMOOTH) for source in sources}
         self._inputs = {name: self._input(name, recording.channels) for name in self.plant.inputs}
-        self._parted = {name: self._over_parts(name, signal) for name, signal in self._inputs.items()}
-        self._parted |= {name: self._summed(np.repeat(recording[u], self._parts)) for name, u in self.integrals.items()}
+        self._part()
         self._finer = {name: self._input(name, recording.channels, FINER) - self._inputs[name] for name in self.finer}
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
-        self._last: tuple[tuple | None, np.ndarray] = (None, np.empty((0, 0)))
-        self._made: dict[tuple, dict[str, np.ndarray]] = {}
         self.first, self.unsure = ({}, {}) if window else self._elsewhere(rates)
         self.begins = {key: key.removeprefix(BEGINS).partition(IN)[0] for key in self.unsure}
         known = {symbol: p.value for symbol, p in self.plant.parameters.items()}
         self.values = {**known, **dict.fromkeys(self.begins, 0.0)}
         self.moving = [*self._moving(), *self.begins]
+
+    def _part(self) -> None:
+        """Its inputs in the parts of a sample; no run that was made before stands for one now."""
+        self._parted = {name: self._over_parts(name, signal) for name, signal in self._inputs.items()}
+        summed = {name: np.repeat(self.recording[u], self._parts) for name, u in self.integrals.items()}
+        self._parted |= {name: self._summed(signal) for name, signal in summed.items()}
+        self._last: tuple[tuple | None, np.ndarray] = (None, np.empty((0, 0)))
+        self._made: dict[tuple, dict[str, np.ndarray]] = {}
 
     def _elsewhere(self, rates: Mapping[str, str]) -> tuple[dict[str, float], dict[str, float]]:
         """Recorded states, and their rates, that do not begin at 0, where the plant's file says nothing else.
@@ -418,8 +437,9 @@ class Model:
             starts[:, [symbols.index(s) for s in self.locals]] += shifts
         key = (tuple(values.get(s, 0.0) for s in self.moving), None if shifts is None else shifts.tobytes())
         last = self._last  # other threads may put another in its place
+        spend(self.work)
+        check()
         if key != last[0]:
-            check()
             self.runs += 1
             parts = self._parts
             ran = self._compiled.run(self._columns(parted), parts * self.restarts, starts, self.reset, values)

@@ -290,13 +290,16 @@ class Search:
         candidates = [c for c in self.candidates(given) if not self.skips(given.plus(c))]
         plain = saving(fit) if candidates else 0.0
 
-        def best(candidate: Hypothesis) -> Score | None:
+        def best(candidate: Hypothesis) -> list[Score] | None:
             with cut():
-                return max(self._promises(likelihood, fit, candidate, plain), key=lambda s: s.gain, default=None)
-            self.skips(given.plus(candidate))
-            return None
+                return sorted(self._promises(likelihood, fit, candidate, plain), key=lambda s: -s.gain)[:1]
+            return None  # for want of time
 
-        ranked = (score for score in each(best, candidates) if score is not None and score.gain > 0)
+        ranked = []
+        for candidate, found in zip(candidates, each(best, candidates), strict=True):
+            ranked += [score for score in found or () if score.gain > 0]
+            if found is None:
+                self.untried[str(given.plus(candidate))] = None
         return sorted(ranked, key=lambda s: -s.gain)
 
     def pairs(self, likelihood: Likelihood, fit: Fit, count: int) -> list[Score]:
@@ -403,7 +406,7 @@ class Search:
                 else:
                     start = {**values, **{f.symbol: 0.0 for f in effect.strengths}}
                     unknowns = [self._unknown(f) for f in effect.strengths]
-                    columns = likelihood.slopes(unknowns, start, fit.shifts, fit.errors, fit.temper)
+                    columns = likelihood.slopes(unknowns, start, fit.shifts, fit.errors, fit.temper, roughly=True)
                 yield shape, point, likelihood.eliminate(columns, None, fit.basis)[0]
 
     def points(self, effect: Effect) -> list[dict[str, float]]:

@@ -5,7 +5,7 @@ parameter `mass` that is fitted in the recording run2 alone is `mass@run2` among
 """
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -55,6 +55,12 @@ class Several(Model):
         other = copy.copy(self)
         other.all = [m.in_steps(steps) for m in self.all]
         return other
+
+    def longer(self) -> Iterator[Model]:
+        for models in zip(*(m.longer() for m in self.all), strict=True):
+            other = copy.copy(self)
+            other.all = [*models]
+            yield other
 
     def driven(self, name: str, signal: np.ndarray) -> Model:
         other = copy.copy(self)

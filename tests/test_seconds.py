@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from greygate import Recording, Simulator, diagnose, progress, simulate
+from greygate.mismatch import cores
+from greygate.mismatch.given import rig_of
 
 SAMPLES = 300
 RUN = 6 * (SAMPLES - 1)  # calls of the function in a run
@@ -73,3 +75,40 @@ def test_a_claim_that_has_time_is_made(recording):
     found = diagnose(plant(cart), recording, seconds=1e9, noise_rms={"x": 1e-4}).as_dict()
     assert "not_tried" not in found
     assert "dry_friction" in [e["id"] for e in found["effects"]]
+
+
+@pytest.mark.parametrize("runs", [30, 100, 400])
+def test_a_budget_of_work_ends_alike_on_one_core_and_on_many(recording, runs, monkeypatch):
+    monkeypatch.setattr(cores, "WORTH", 0.0)
+
+    def found(count: int) -> dict:
+        monkeypatch.setattr(cores, "CORES", count)
+        work = progress.Budget(work=runs * 2 * SAMPLES)
+        told = rig_of(plant(cart), recording, noise_rms={"x": 1e-4})
+        return {key: value for key, value in diagnose(told, budget=work).as_dict().items() if key != "seconds"}
+
+    one = found(1)
+    assert one == found(2)
+    assert one["not_tried"]
+
+
+def test_work_is_counted_alike_on_one_core_and_on_many(monkeypatch):
+    monkeypatch.setattr(cores, "WORTH", 0.0)
+
+    def found(count: int, most: float) -> tuple[int, bool]:
+        monkeypatch.setattr(cores, "CORES", count)
+        before, budget, ended = progress.worked(), progress.Budget(work=most), True
+        with budget.searching(), progress.cut():
+            cores.each(worth, [1, 2, 3, 4])
+            ended = False
+        return progress.worked() - before, ended
+
+    assert found(1, 1000.0) == found(2, 1000.0) == (20, False)
+    assert found(1, 10.0) == found(2, 10.0) == (8, True)  # the third would take more than its part of six
+
+
+def worth(item: int) -> int:
+    for _ in range(item):
+        progress.spend(2)
+        progress.check()
+    return item

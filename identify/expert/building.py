@@ -6,9 +6,10 @@ when all is decided.
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
+from math import comb
 from time import monotonic
 
 import numpy as np
@@ -17,7 +18,7 @@ from greygate.compiler.pipeline import entropy_pruning
 from greygate.errors import InputError
 from greygate.identify.baseline import linear, of_one
 from greygate.identify.expert.acting import acting
-from greygate.identify.expert.decisions import Log
+from greygate.identify.expert.decisions import Decision, Log
 from greygate.identify.expert.diagnosed import READS, Corrected, asked, correct
 from greygate.identify.expert.integration import SCHEMES, UNSTABLE
 from greygate.identify.expert.parts import Part
@@ -35,19 +36,21 @@ from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
-from greygate.progress import Progress, silent
+from greygate.progress import Budget, Progress, silent
 
 JUDGED, TESTED = 0.25, 0.2  # of each recording, its end: for decisions, and to test where nothing else is given
 BLOCKS = 4  # of what is held out of each recording: a step must help in most of them
 GAIN = 0.98  # of the error before: what a step that adds something must reach
 EARNED = 0.9  # likewise of a term that nothing is known of: beyond what it was trained on it may do anything
+CHANCE = 0.05  # probability that so many blocks are better by chance: below, such a term needs no more than others
 ALLOWED = 1.02  # of the error before: what a step that removes something may reach
-TAPS, NEURONS = 4, (4, 8)
+TAPS = 4
+FEWER, MORE = 4, 8  # neurons of an unknown term
 EPOCHS, REFIT, REMOVAL = 25, 15, 4
 DECAY = 1e-6
 HELD = 1.0  # tolerances that a parameter may be off beside something unexplained, which draws it
 FINE, COARSE = 1e-3, 1e-2  # of the plant's motion: where no finer integration is tried, and what none may miss
-DIAGNOSING = 120.0  # s, after which a diagnosis tries nothing further
+DIAGNOSING = 2e9  # steps of states that a diagnosis simulates (`Model.work`), two minutes: it tries nothing further
 ROUNDS, SLOPE = 8, 1e-7  # of Newton's method for a state before the first sample; of its scale, for a difference
 ALIKE = 1.25  # of the least miss, within which the cheaper integration is as good
 FEW = 4  # evaluations a sample, with which no more are tried where a part only comes near its term
@@ -99,7 +102,7 @@ def build(
     log, known = Log(), given
     knees: Mapping[str, float] = {}
     if diagnosis is None:
-        diagnosis = diagnosed(given, recordings, bool(tests), min(DIAGNOSING, seconds / 2), log, progress)
+        diagnosis = diagnosed(given, recordings, bool(tests), Budget(seconds / 2, DIAGNOSING), log, progress)
     if diagnosis is not None and _drawn(diagnosis):
         log("diagnose", given.plant.name, "the data sheet's values", "what is missing has no name, and draws others")
     elif diagnosis is not None:
@@ -110,21 +113,61 @@ def build(
         known = best_fit(known, given, recordings, bool(tests), found.own, log, progress, within)
     remains = diagnosis is None or diagnosis.get("verdict") in OPEN_VERDICTS
 
-    def expert_of(task: Task) -> "Expert":
-        return Expert(task, given, recordings, tests, began + seconds, log, progress, remains)
-
     said = len(log.decisions)
+
+    def decided(task: Task) -> Decided:
+        del log.decisions[said:]
+        expert = Expert(task, given, recordings, tests, began + seconds, log, progress, remains)
+        return Decided(expert, expert.decided(), log.decisions[said:])
+
+    best = followed(decided, known, knees)
+    if remains and known is not given and not best.expert.out_of_time():
+        best = better(best, decided, given)
+    log.decisions[said:] = best.log
+    network = best.expert.smaller(best.expert.refitted(best.found))
+    progress("training a linear model to compare with")
+    return Built(network, log, best.expert.scores(network), monotonic() - began, diagnosis)
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What an expert found for a task, and its decisions."""
+
+    expert: "Expert"
+    found: Candidate
+    log: list[Decision]
+
+    def but(self, about: str, choice: str, reason: str, undone: bool = False) -> "Decided":
+        """The same, with a decision that was made before all others."""
+        return replace(self, log=[Decision("start", about, choice, reason, undone), *self.log])
+
+
+def followed(decided: Callable[[Task], Decided], known: Task, knees: Mapping[str, float]) -> Decided:
+    """What is decided of a task; where no integration follows it, of the same with softer knees."""
     try:
-        network = (expert := expert_of(known)).built()
+        return decided(known)
     except Unfollowed as problem:
         if (softer := softened(known, knees)) is None:
             raise
-        del log.decisions[said:]
         what = ", ".join(f"{s} {softer.plant.parameters[s].value:.4g}" for s in knees)
-        log("soften", known.plant.name, what, f"the end of its interval; else {problem.why}")
-        network = (expert := expert_of(softer)).built()
-    progress("training a linear model to compare with")
-    return Built(network, expert.log, expert.scores(network), monotonic() - began, diagnosis)
+        return decided(softer).but(known.plant.name, what, f"the end of its interval; else {problem.why}")
+
+
+def better(corrected: Decided, decided: Callable[[Task], Decided], given: Task) -> Decided:
+    """What is decided of the data sheet's plant, where that is better on what decides: a diagnosis that leaves
+    something open can lead astray.
+    """
+    try:
+        plain = decided(given)
+    except InputError as problem:
+        return corrected.but(given.plant.name, "the data sheet's plant", problem.args[0], undone=True)
+    errors = [one.found.error for one in (plain, corrected)]
+    blocks = [one.expert.by_block(one.found.network) for one in (plain, corrected)]
+    less = sum(a < b for a, b in zip(*blocks, strict=True))
+    undone = not (errors[0] < GAIN * errors[1] and 2 * less > len(blocks[0]))
+    where = f"less in {less} of {len(blocks[0])} blocks"
+    why = f"error {errors[1]:.3g} from the diagnosed plant, {errors[0]:.3g} from this, {where}"
+    return (corrected if undone else plain).but(given.plant.name, "the data sheet's plant", why, undone)
 
 
 class Unfollowed(InputError):
@@ -154,12 +197,12 @@ def parts_of(recordings: Mapping[str, Recording], tested: bool) -> tuple[dict[st
 
 
 def diagnosed(
-    task: Task, recordings: Mapping[str, Recording], tested: bool, seconds: float, log: Log, progress: Progress
+    task: Task, recordings: Mapping[str, Recording], tested: bool, budget: Budget, log: Log, progress: Progress
 ) -> Mapping | None:
     """The diagnosis of what is trained on; None, with the reason in the log, where there is none."""
     _, heads = parts_of(recordings, tested)
     try:
-        _, found = asked(task, [upto(r, heads[n]) for n, r in recordings.items()], seconds, progress)
+        _, found = asked(task, [upto(r, heads[n]) for n, r in recordings.items()], budget, progress)
     except InputError as problem:
         log("diagnose", task.plant.name, "the data sheet as it is", f"no diagnosis: {problem}", undone=True)
         return None
@@ -355,10 +398,8 @@ class Expert:
     def out_of_time(self) -> bool:
         return monotonic() > self.until
 
-    def built(self) -> Network:
-        best = self.trained(self.assembled())
-        best = self.widened(best)
-        return self.smaller(self.refitted(best))
+    def decided(self) -> Candidate:
+        return self.widened(self.trained(self.assembled()))
 
     def assembled(self) -> Candidate:
         """The plant's own equations as a network, with every input as it is best read."""
@@ -435,24 +476,34 @@ class Expert:
         return start if worse else Candidate(replace(start.joined, network=network), network, start.choices, error)
 
     def widened(self, best: Candidate) -> Candidate:
-        """Other inputs, unknown terms and larger parts, one after the other; what gains nothing is undone."""
-        if rates := [rate for rate in self.task.rates if not poor(self.signals[rate])]:
-            wider = replace(best.choices, taps=TAPS)
-            best = self.tried(best, wider, ", ".join(rates), f"each rate from {TAPS} differences")
+        """Other inputs, freer values, unknown terms and larger parts; what gains nothing is undone.
+
+        Each is attempted alone first: what gains most goes first, for what follows depends on it.
+        """
+        ways = self.ways()
+        alone = {way.about: self.attempt(best, way) for way in (ways if len(ways) > 1 else ())}
+        if alone:
+            ways.sort(key=lambda way: alone[way.about].error)
+            errors = ", ".join(f"{about} {attempt.error:.3g}" for about, attempt in alone.items())
+            self.log("widen", "order", ", ".join(way.about for way in ways), f"alone the errors are {errors}")
+        for i, way in enumerate(ways):
+            before, best = best, self.tried(best, way, alone.get(way.about) if i == 0 else None)
+            if way.place and best is not before:
+                best = self.tried(best, _unknown(way.place, MORE))
         if not self.remains:
             self.log("widen", self.task.plant.name, "no unknown terms", "the diagnosis leaves nothing to explain")
-        for place in self.places() if self.remains else ():
-            for neurons in NEURONS:
-                wider = replace(best.choices, unknown={**best.choices.unknown, place: neurons})
-                before, best = best, self.tried(best, wider, place, f"an unknown term of {neurons} neurons")
-                if best is before:
-                    break
-        if not best.choices.free:
-            what = "uncertain parameters within their tolerances"
-            best = self.tried(best, replace(best.choices, free=True), "data sheet", what)
         if trained := [n for n, p in self.parts.items() if not p.of_library]:
-            best = self.tried(best, replace(best.choices, larger=1), ", ".join(trained), "more neurons")
+            best = self.tried(best, Way(", ".join(trained), "more neurons", lambda c: replace(c, larger=1)))
         return best
+
+    def ways(self) -> list["Way"]:
+        """To widen the network."""
+        found = [_unknown(place, FEWER) for place in self.places()] if self.remains else []
+        if rates := [rate for rate in self.task.rates if not poor(self.signals[rate])]:
+            what = f"each rate from {TAPS} differences"
+            found.append(Way(", ".join(rates), what, lambda c: replace(c, taps=TAPS)))
+        what = "uncertain parameters within their tolerances"
+        return [*found, Way("data sheet", what, lambda c: replace(c, free=True))]
 
     def places(self) -> list[str]:
         """Where a term may be missing: where the plant says so, else in every balance that is more than a rate."""
@@ -463,36 +514,44 @@ class Expert:
         rates = [n for n, e in plant.equations.items() if all(term in plant.states for term in e.terms.values())]
         return [n for n in self.task.equations.values() if n not in rates]
 
-    def tried(self, best: Candidate, choices: Choices, about: str, what: str) -> Candidate:
-        """The candidate with other choices if it is better where it did not learn, else the one before."""
+    def attempt(self, best: Candidate, way: "Way") -> "Attempt":
+        """The network of a candidate widened in one way and trained, if there is time."""
         if self.out_of_time():
-            self.log("widen", about, f"{what} not tried", "the time is used up")
-            return best
-        self.progress(f"trying {what} ({about})")
-        parts, begins, of_best = self.parts, self.begins, self.by_block(best.network)
+            return Attempt(why="the time is used up")
+        self.progress(f"trying {way.what} ({way.about})")
+        choices, kept = way.change(best.choices), (self.parts, self.begins)
         if choices.larger != best.choices.larger:
-            self.parts = {n: p for n, p in parts.items() if p.of_library}
+            self.parts = {n: p for n, p in self.parts.items() if p.of_library}
         try:
             joined = self.join(choices)
             known, now = best.network.parameters(), joined.network.parameters()
             same = {n: known[n] for n, v in now.items() if n in known and known[n].shape == v.shape}
             joined.network = joined.network.with_parameters(same)
             network = self.train(joined, self.fitted())
+            found = Candidate(replace(joined, network=network), network, choices, self.error(network, self.judges()))
+            return Attempt(found, found.error, self.by_block(network), self.parts, self.begins)
         except InputError as problem:
-            self.parts, self.begins = parts, begins
-            self.log("widen", about, what, str(problem), undone=True)
+            return Attempt(why=str(problem))
+        finally:
+            self.parts, self.begins = kept
+
+    def tried(self, best: Candidate, way: "Way", attempt: "Attempt | None" = None) -> Candidate:
+        """The candidate widened in one way if it is better where it did not learn, else the one before."""
+        attempt = attempt or self.attempt(best, way)
+        if attempt.found is None:
+            self.log("widen", way.about, way.what, attempt.why, undone=True)
             return best
-        error = self.error(network, self.judges())
-        better = sum(a < b for a, b in zip(self.by_block(network), of_best, strict=True))
-        gain = GAIN if choices.unknown == best.choices.unknown else EARNED
-        undone = not (error < gain * best.error and 2 * better > len(of_best))
-        why = f", not below {gain:g} of it" if not error < gain * best.error else ""
-        said = f"error {best.error:.3g} to {error:.3g}{why}, less in {better} of {len(of_best)} blocks"
-        self.log("widen", about, what, said, undone)
+        of_best = self.by_block(best.network)
+        fewer = sum(a < b for a, b in zip(attempt.blocks, of_best, strict=True))
+        gain = EARNED if way.place and chance(fewer, len(of_best)) > CHANCE else GAIN
+        undone = not (attempt.error < gain * best.error and 2 * fewer > len(of_best))
+        why = f", not below {gain:g} of it" if not attempt.error < gain * best.error else ""
+        said = f"error {best.error:.3g} to {attempt.error:.3g}{why}, less in {fewer} of {len(of_best)} blocks"
+        self.log("widen", way.about, way.what, said, undone)
         if undone:
-            self.parts, self.begins = parts, begins
             return best
-        return Candidate(replace(joined, network=network), network, choices, error)
+        self.parts, self.begins = attempt.parts, attempt.begins
+        return attempt.found
 
     # ---- smaller
 
@@ -540,6 +599,40 @@ class Expert:
         why = f"the structure is decided; error {before:.3g} to {after:.3g}"
         self.log("train", "the whole recordings", f"{REFIT} epochs", why, undone)
         return best if undone else replace(best, network=network)
+
+
+def chance(better: int, of: int) -> float:
+    """The probability that so many blocks or more are better by chance alone."""
+    return sum(comb(of, k) for k in range(better, of + 1)) / 2**of
+
+
+@dataclass(frozen=True)
+class Way:
+    """To widen a network. about, what: it in words. place: where a term is added, if one is."""
+
+    about: str
+    what: str
+    change: Callable[[Choices], Choices]
+    place: str = ""
+
+
+def _unknown(place: str, neurons: int) -> Way:
+    def change(choices: Choices) -> Choices:
+        return replace(choices, unknown={**choices.unknown, place: neurons})
+
+    return Way(place, f"an unknown term of {neurons} neurons", change, place)
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What came of a way to widen, or why nothing; parts, begins: of the expert with it."""
+
+    found: Candidate | None = None
+    error: float = np.inf
+    blocks: Sequence[float] = ()
+    parts: dict[str, Part] = field(default_factory=dict)
+    begins: dict[str, dict] = field(default_factory=dict)
+    why: str = ""
 
 
 def before(

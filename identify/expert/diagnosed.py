@@ -70,15 +70,15 @@ def only(recording: Recording, channels: Sequence[str]) -> Recording:
 
 
 def asked(
-    task: Task, recordings: Sequence[Recording], seconds: float, progress: Progress = silent,
+    task: Task, recordings: Sequence[Recording], budget: Budget, progress: Progress = silent,
     held: Sequence[Recording] = (),
 ) -> tuple[Diagnosis, dict]:  # fmt: skip
     """The diagnosis of what a network is to compute, and what is kept of it.
 
-    No further hypothesis is tried after `seconds`. held: recordings that it is only reported on.
+    budget: after it no further hypothesis is tried. held: recordings that it is only reported on.
     """
     rig = rig_for(task, recordings, held)
-    found = diagnose(rig, effects=_with_a_place(rig), progress=progress, budget=Budget(seconds))
+    found = diagnose(rig, effects=_with_a_place(rig), progress=progress, budget=budget)
     return found, found.as_dict() | {READS: list(task.inputs)}
 
 
