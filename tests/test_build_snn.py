@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from typer.testing import CliRunner
 
 from greygate.cli import app
 from greygate.errors import InputError
+from greygate.identify.expert.building import Attempt, Decided, Expert, Way, better, chance
 from greygate.identify.expert.decisions import Log
 from greygate.identify.expert.files import build_files
 from greygate.identify.expert.parts import part
@@ -156,3 +158,65 @@ def test_a_valve_is_found_in_the_library_and_a_curve_is_trained():
     other = part("curve", lambda at: np.exp(-at["u"] * 1e3), {"u": seen["u"]}, {"u": []}, 0, log)
     assert not other.of_library
     assert "no library network is this term" in log.decisions[-1].reason
+
+
+def outcome(error: float, blocks: list[float]) -> Decided:
+    """What is decided, by an expert that only tells the error of each block."""
+    expert = SimpleNamespace(by_block=lambda network: blocks)
+    return Decided(expert, SimpleNamespace(error=error, network=None), [])
+
+
+@pytest.mark.parametrize(
+    ("plain", "blocks", "taken"),
+    [(0.5, [0.5, 0.5, 0.5, 2.0], True), (0.99, [0.9, 0.9, 0.9, 0.9], False), (0.5, [0.1, 0.1, 2.0, 2.0], False)],
+    ids=["less in most blocks", "hardly less", "less in half of them"],
+)
+def test_the_data_sheets_plant_is_taken_where_a_diagnosis_led_astray(plain, blocks, taken):
+    corrected, sheet = outcome(1.0, [1.0] * 4), outcome(plain, blocks)
+    given = SimpleNamespace(plant=SimpleNamespace(name="motor"))
+    best = better(corrected, lambda task: sheet, given)
+    assert best.expert is (sheet if taken else corrected).expert
+    (said,) = best.log
+    assert (said.step, said.undone) == ("start", not taken)
+
+
+def test_a_plant_that_no_network_follows_leaves_the_corrected_one():
+    def none(task):
+        raise InputError("plant motor: no network of it")
+
+    corrected = outcome(1.0, [1.0])
+    best = better(corrected, none, SimpleNamespace(plant=SimpleNamespace(name="motor")))
+    assert (best.expert, best.log[0].undone, best.log[0].reason) == (
+        corrected.expert, True, "plant motor: no network of it",
+    )  # fmt: skip
+
+
+def test_what_gains_most_alone_is_added_first_and_what_follows_is_held_against_it(files, monkeypatch):
+    errors = {(): 1.0, ("b",): 0.5, ("a",): 0.6, ("a", "b"): 0.55, ("c",): 0.9, ("b", "c"): 0.4}
+    candidates = {key: SimpleNamespace(network=key, error=error, choices=key) for key, error in errors.items()}
+
+    class Fake(Expert):
+        parts, begins, remains, task = {}, {}, True, SimpleNamespace(plant=SimpleNamespace(name="motor"))
+
+        def __init__(self):
+            self.log, self.asked = Log(), []
+
+        def ways(self):
+            return [Way(n, n, lambda choices, n=n: tuple(sorted({*choices, n}))) for n in "abc"]
+
+        def by_block(self, network):
+            return [errors[network]] * 4
+
+        def attempt(self, best, way):
+            key = way.change(best.choices)
+            self.asked.append(key)
+            return Attempt(candidates[key], errors[key], [errors[key]] * 4)
+
+    expert = Fake()
+    assert expert.widened(candidates[()]).network == ("b", "c")
+    assert expert.asked == [("a",), ("b",), ("c",), ("a", "b"), ("b", "c")]
+
+
+def test_many_blocks_stand_for_a_large_gain():
+    assert (chance(8, 8), chance(7, 8)) == (1 / 256, 9 / 256)
+    assert chance(4, 4) == 1 / 16

@@ -12,6 +12,7 @@ from greygate import diagnose
 from greygate.errors import InputError
 from greygate.mismatch.diagnosis import READ
 from greygate.mismatch.entries import fitting
+from greygate.mismatch.fit import Unknown
 from greygate.mismatch.general import general
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
@@ -572,3 +573,21 @@ def test_what_acts_between_the_stretches_alone_is_not_overlooked(dear, torque, o
     search.part = search.over(stretches(search))
     finding._searched(search, silent)
     assert (search.part is not search) == overlooked  # else all of the recording was searched in the end
+
+
+def test_slopes_of_an_arm_in_finer_steps_are_those_of_longer_ones(tmp_path):
+    """Nearly: they only lead a fit, which ends by its own; so the search takes a part of the time."""
+    write(tmp_path, loss=0.0)
+    rig = record(tmp_path, write(tmp_path, "other.xml", loss=0.0), "damping_shoulder")
+    rig = replace(rig, plant=replace(rig.plant, step=DT / 20))
+    likelihood = Search(rig, rig.to_explain(), {}).final
+    rough = likelihood.rough()
+    assert likelihood.model.steps == 20
+    assert rough.model.steps < 5
+    given = likelihood.model.values, likelihood.nothing()
+    errors, temper = likelihood.errors(*given), np.ones(2)
+    unknown = [Unknown("damping_shoulder", 0.01, 0.01, np.inf, 0.0, 1.0)]
+    exact, longer = (
+        likelihood.slopes(unknown, *given, errors, temper, roughly=roughly)[:, :, 0] for roughly in (False, True)
+    )
+    assert 0 < np.linalg.norm(exact - longer) < 0.05 * np.linalg.norm(exact)

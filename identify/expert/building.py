@@ -137,9 +137,9 @@ class Decided:
     found: Candidate
     log: list[Decision]
 
-    def but(self, about: str, choice: str, reason: str, undone: bool = False) -> "Decided":
+    def but(self, step: str, about: str, choice: str, reason: str, undone: bool = False) -> "Decided":
         """The same, with a decision that was made before all others."""
-        return replace(self, log=[Decision("start", about, choice, reason, undone), *self.log])
+        return replace(self, log=[Decision(step, about, choice, reason, undone), *self.log])
 
 
 def followed(decided: Callable[[Task], Decided], known: Task, knees: Mapping[str, float]) -> Decided:
@@ -150,7 +150,7 @@ def followed(decided: Callable[[Task], Decided], known: Task, knees: Mapping[str
         if (softer := softened(known, knees)) is None:
             raise
         what = ", ".join(f"{s} {softer.plant.parameters[s].value:.4g}" for s in knees)
-        return decided(softer).but(known.plant.name, what, f"the end of its interval; else {problem.why}")
+        return decided(softer).but("soften", known.plant.name, what, f"the end of its interval; else {problem.why}")
 
 
 def better(corrected: Decided, decided: Callable[[Task], Decided], given: Task) -> Decided:
@@ -160,14 +160,14 @@ def better(corrected: Decided, decided: Callable[[Task], Decided], given: Task) 
     try:
         plain = decided(given)
     except InputError as problem:
-        return corrected.but(given.plant.name, "the data sheet's plant", problem.args[0], undone=True)
+        return corrected.but("start", given.plant.name, "the data sheet's plant", problem.args[0], undone=True)
     errors = [one.found.error for one in (plain, corrected)]
     blocks = [one.expert.by_block(one.found.network) for one in (plain, corrected)]
     less = sum(a < b for a, b in zip(*blocks, strict=True))
     undone = not (errors[0] < GAIN * errors[1] and 2 * less > len(blocks[0]))
     where = f"less in {less} of {len(blocks[0])} blocks"
     why = f"error {errors[1]:.3g} from the diagnosed plant, {errors[0]:.3g} from this, {where}"
-    return (corrected if undone else plain).but(given.plant.name, "the data sheet's plant", why, undone)
+    return (corrected if undone else plain).but("start", given.plant.name, "the data sheet's plant", why, undone)
 
 
 class Unfollowed(InputError):
