@@ -421,6 +421,16 @@ class Likelihood:
         inside = np.swapaxes(q, 1, 2) @ rows
         return rows - q @ inside, inside
 
+    def begun(self, values: Mapping[str, float]) -> np.ndarray:
+        """Where the windows begin by their own samples, if these are the values: shifts in units of the locals."""
+        temper, shifts = np.ones(self.sigma.shape[1]), self.nothing()
+        errors = self.errors(values, shifts)
+        basis = self.basis(values, shifts, errors, temper, roughly=True)
+        if basis is not None:
+            pulled = self.eliminate(self.rows(errors, temper)[:, :, None], None, basis)[1]
+            shifts = shifts - np.linalg.solve(basis[1], pulled)[:, :, 0]
+        return shifts * self.local_scale
+
     def slopes(
         self,
         symbols: Sequence[Unknown],
