@@ -61,16 +61,14 @@ class Loss:
 class Judge:
     """The rule of a rig over identify.csv, by which fits are compared.
 
-    halves: whether a recording is cut into its two halves, and not into blocks that are spread. begun: whether each
-    window begins where its own samples say, and not as recorded: the noise of a rate there hides what a fit is worth.
+    halves: whether a recording is cut into its two halves, and not into blocks that are spread.
     fold: number of the block in which each sample lies (samples,); of several recordings, of the recording.
     """
 
-    def __init__(self, likelihood: Likelihood, halves: bool = False, begun: bool = False):
+    def __init__(self, likelihood: Likelihood, halves: bool = False):
         model, self.halves = likelihood.model, halves
         again = model.window != model.rig.window
         self.model = modelled(model.rig, model.recording, model.effects) if again else model
-        self.begun = Likelihood(self.model) if begun else None
         runs = self.model.pieces
         self.several = len({run.name for run in self.model.recording.runs}) > 1
         if self.several:
@@ -81,9 +79,8 @@ class Judge:
     @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
     def errors(self, values: Mapping[str, float]) -> np.ndarray:
         """Recorded less simulated by the rule of the rig (samples, channels), in the channels' units."""
-        known = {**self.model.values, **{s: v for s, v in values.items() if s in self.model.values}}
-        shifts = self.begun.begun(known) if self.begun else None
-        return self.model.target - self.model.predict(known, shifts)
+        known = {s: v for s, v in values.items() if s in self.model.values}
+        return self.model.target - self.model.predict({**self.model.values, **known})
 
     def unseen(self, fit: Fit, held: np.ndarray, exact: bool = False) -> np.ndarray:
         """Errors of a fit that did not learn from a block, on that block (samples of it, channels).

@@ -6,7 +6,7 @@ the errors that no effect of the table explains, the verdict is `unexplained`.
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
@@ -34,7 +34,7 @@ from greygate.mismatch.cores import on_one_thread
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import excited
-from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.fit import Fit
 from greygate.mismatch.given import rig_of, tried
 from greygate.mismatch.misread import check
 from greygate.mismatch.model import TINY, Model
@@ -370,12 +370,12 @@ def _worn(state: State) -> State:
     search, best, claims = state.search, state.found.best, state.claims
     if not best.size or state.verdict == Verdict.UNEXPLAINED:
         return state
-    judges = _judges(claims.fit.likelihood)
-    if not (why := _no_better(judges, claims.calibrated, claims.fit)):
+    judge = Judge(claims.fit.likelihood)
+    if not (why := _no_better(judge, claims.calibrated, claims.fit)):
         return state
 
     def earns(fit: Fit) -> bool:
-        return not unborne(search, best, fit) and not _no_better(judges, claims.calibrated, fit)
+        return not unborne(search, best, fit) and not _no_better(judge, claims.calibrated, fit)
 
     if (again := fitted_by_rule(search, best, claims.fit)) and earns(again):
         return _written(state, replace(claims, fit=again))
@@ -385,26 +385,17 @@ def _worn(state: State) -> State:
     return _judged(_reduced(state, Hypothesis(), f"{_named(search, best)} is taken back: {why}"))
 
 
-def _judges(likelihood: Likelihood) -> list[Judge]:
-    """By the rule of the rig, and, where windows begin as recorded, from where their own samples say they begin."""
-    found = [Judge(likelihood)]
-    return [*found, Judge(likelihood, begun=True)] if found[0].model.locals else found
-
-
-def _no_better(judges: Sequence[Judge], calibrated: Fit, fit: Fit) -> str:
+def _no_better(judge: Judge, calibrated: Fit, fit: Fit) -> str:
     """Why a correction is not worn in place of the calibrated plant, nor that of the data sheet; empty where it is.
 
     What linearised fits show is fitted again before it counts.
     """
     why = ""
-    for judge in judges:
-        for exact in (False, True):
-            why = judge.no_better(calibrated, fit, exact)
-            if judge.total(fit, exact) > (1.0 + MORE) ** 2:
-                why = "with it the run errs more than with the data sheet where not learnt from"
-            if not why:
-                break
-        if why:
+    for exact in (False, True):
+        why = judge.no_better(calibrated, fit, exact)
+        if judge.total(fit, exact) > (1.0 + MORE) ** 2:
+            why = "with it the run errs more than with the data sheet where not learnt from"
+        if not why:
             break
     return why
 

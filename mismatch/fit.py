@@ -141,7 +141,8 @@ class Fit:
     @cached_property
     def projected(self) -> np.ndarray:
         """The errors less what the shifts explain (windows, rows)."""
-        tail = None if self.basis is None else (np.sqrt(self.likelihood.heavy) * self.shifts)[:, :, None]
+        shifts = self.shifts[self.likelihood.fitted]
+        tail = None if self.basis is None else (np.sqrt(self.likelihood.heavy) * shifts)[:, :, None]
         rows = self.likelihood.rows(self.errors, self.temper)[:, :, None]
         return self.likelihood.eliminate(rows, tail, self.basis)[0][:, :, 0]
 
@@ -292,7 +293,8 @@ class Likelihood:
 
     sigma: standard deviation of what the sensors make of the truth, inf where a sample does not count.
     count: of samples that count, all channels together. windows, block: number of stretches within which errors may
-    depend on each other, and their samples; kept: the samples in them. noise: what it is beside that of sigma.
+    depend on each other, and their samples; kept: the samples in them; fitted: the restarts in them. noise: what it is
+    beside that of sigma.
     """
 
     _rough: tuple[Model, Model] | None = None  # a model, and the same in longer steps
@@ -310,6 +312,7 @@ class Likelihood:
         self.windows, self.kept = whole(model.pieces, block)
         counted = np.zeros(samples, bool)
         counted[self.kept] = True
+        self.fitted = np.flatnonzero(counted[model.restarts]) if model.window else np.arange(len(model.restarts))
         if model.window is not None and not all(model.reset):
             for piece in model.pieces:
                 warm = max(model.window, min(WARM, (piece.stop - piece.start) // WARM_PART))
@@ -420,16 +423,6 @@ class Likelihood:
         rows = np.concatenate([rows, tail], axis=1)
         inside = np.swapaxes(q, 1, 2) @ rows
         return rows - q @ inside, inside
-
-    def begun(self, values: Mapping[str, float]) -> np.ndarray:
-        """Where the windows begin by their own samples, if these are the values: shifts in units of the locals."""
-        temper, shifts = np.ones(self.sigma.shape[1]), self.nothing()
-        errors = self.errors(values, shifts)
-        basis = self.basis(values, shifts, errors, temper, roughly=True)
-        if basis is not None:
-            pulled = self.eliminate(self.rows(errors, temper)[:, :, None], None, basis)[1]
-            shifts = shifts - np.linalg.solve(basis[1], pulled)[:, :, 0]
-        return shifts * self.local_scale
 
     def slopes(
         self,
@@ -628,7 +621,8 @@ class _Descent:
         where less than `enough` is promised, or no step lowers the cost.
         """
         likelihood, at = self.likelihood, self.at
-        tail = None if linear.basis is None else (np.sqrt(likelihood.heavy) * at.shifts)[:, :, None]
+        fitted = likelihood.fitted
+        tail = None if linear.basis is None else (np.sqrt(likelihood.heavy) * at.shifts[fitted])[:, :, None]
         left, pulled = likelihood.eliminate(likelihood.rows(at.errors, self.temper)[:, :, None], tail, linear.basis)
         gradient = left.reshape(-1) @ linear.slopes + self.weight * at.numbers
         diagonal = np.diag(linear.curvature) + self.weight
@@ -647,7 +641,8 @@ class _Descent:
             shifts = at.shifts
             if linear.basis is not None:
                 wanted = pulled[:, :, 0] + linear.explained @ step
-                shifts = shifts - np.linalg.solve(linear.basis[1], wanted[:, :, None])[:, :, 0] / (1 + value)
+                shifts = shifts.copy()
+                shifts[fitted] -= np.linalg.solve(linear.basis[1], wanted[:, :, None])[:, :, 0] / (1 + value)
             point = self.point(numbers, shifts)
             return (point, promised) if point.cost < at.cost or not fresh else None
 

@@ -178,8 +178,7 @@ class Model:
 
     def _take(self, recording: Recording, window: int | None) -> None:
         self.recording, self.window = recording, window
-        windows = max(recording.samples // window, 1) if window else 1
-        self.restarts = np.arange(windows) * (window or 0)
+        self.restarts = np.arange(0, recording.samples, window or recording.samples)  # the last window may be shorter
         states = self.plant.states
         rates = {s.rate: symbol for symbol, s in states.items() if s.rate is not None}
         moved = [s for s in states if s not in self.plant.shown]
