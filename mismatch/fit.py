@@ -293,8 +293,7 @@ class Likelihood:
 
     sigma: standard deviation of what the sensors make of the truth, inf where a sample does not count.
     count: of samples that count, all channels together. windows, block: number of stretches within which errors may
-    depend on each other, and their samples; kept: the samples in them; fitted: the restarts in them. noise: what it is
-    beside that of sigma.
+    depend on each other, and their samples; kept: the samples in them. noise: what it is beside that of sigma.
     """
 
     _rough: tuple[Model, Model] | None = None  # a model, and the same in longer steps
@@ -312,13 +311,19 @@ class Likelihood:
         self.windows, self.kept = whole(model.pieces, block)
         counted = np.zeros(samples, bool)
         counted[self.kept] = True
-        self.fitted = np.flatnonzero(counted[model.restarts]) if model.window else np.arange(len(model.restarts))
         if model.window is not None and not all(model.reset):
             for piece in model.pieces:
                 warm = max(model.window, min(WARM, (piece.stop - piece.start) // WARM_PART))
                 counted[piece][:warm] = False
         self.sigma[~counted] = np.inf
         self.count = int(counted.sum()) * self.sigma.shape[1]
+
+    @property
+    def fitted(self) -> np.ndarray:
+        """Which restarts begin a whole window; what is left behind the last of these is not fitted."""
+        counted = np.zeros(len(self.model.target), bool)
+        counted[self.kept if self.model.window else slice(None)] = True
+        return np.flatnonzero(counted[self.model.restarts])
 
     @property
     def expected(self) -> float:

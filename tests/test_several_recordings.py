@@ -220,7 +220,12 @@ def test_a_run_of_several_is_each_run_alone(tmp_path, window):
         ranges = [Likelihood(m) for m in (joined, *alone)]
         assert ranges[0].windows == sum(one.windows for one in ranges[1:])
         assert ranges[0].recording.tolist() == [0] * 6 + [1] * 6 + [2] * 6
-        shifts = np.random.default_rng(0).standard_normal((18, 2))
+        assert [len(m.restarts) for m in alone] == [7] * 3  # six whole windows, and what is left of each recording
+        assert [one.fitted.tolist() for one in ranges] == [
+            [*range(6), *range(7, 13), *range(14, 20)],
+            *[[*range(6)]] * 3,
+        ]
+        shifts = np.random.default_rng(0).standard_normal((21, 2))
         moved = [m.predict(values, s) for m, s in zip(alone, np.split(shifts, 3), strict=True)]
         np.testing.assert_array_equal(joined.predict(values, shifts), np.concatenate(moved))
 
