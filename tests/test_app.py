@@ -1,7 +1,6 @@
 """`greygate app`: a folder in the browser. Strangers are refused; a command runs as it is typed."""
 
 import os
-import secrets
 import socket
 import subprocess
 import time
@@ -29,7 +28,7 @@ with warnings.catch_warnings():
 from greygate.app import server  # noqa: E402
 from greygate.app.forms import Form  # noqa: E402
 
-TOKEN, OWN = secrets.token_urlsafe(), "http://127.0.0.1:8000"
+TOKEN, OWN = "s0me-t0ken-that-nobody-guesses-0123456789_abc", "http://127.0.0.1:8000"
 ROWS = "t_s,u_V,y_m\n" + "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(200))
 COMMANDS = leaves(get_command(cli.app))
 PATIENCE = 60.0  # s for a command that takes two
