@@ -312,7 +312,7 @@ def test_a_folder_that_is_none_and_a_taken_port_are_refused(greygate, folder):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        code, out, error = greygate("app", folder, "--port", port)
+        code, out, error = greygate("app", folder, "--tcp", port)
         assert (code, out, f"--port {port}: cannot be used" in error) == (2, "", True)
     assert greygate("app", folder / "none")[0] == 2
 

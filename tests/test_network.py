@@ -4,6 +4,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks import delay_line, random_inputs, random_network
+from scipy.special import ndtr
 
 from greygate.errors import InputError
 from greygate.models.activations import ACTIVATIONS
@@ -44,6 +45,8 @@ def test_every_activation_is_its_definition(name):
         "square": n**2,
         "negexp": np.exp(-np.abs(n)),
         "softsign": n / (1 + np.abs(n)),
+        "softfall": np.log1p(np.exp(-np.abs(n))),
+        "normal": ndtr(n),
         "select": [2.0, -1.0],  # -3 and -0.5 choose between 0 or 2, and 0.25 or -1
     }
     np.testing.assert_allclose(ACTIVATIONS[name].value(np, n), by_hand[name], atol=1e-15)

@@ -93,7 +93,7 @@ def doctor(as_json: Json = False) -> None:
 def app(
     context: typer.Context,
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="What it shows and writes into.")] = Path(),
-    port: Annotated[int, typer.Option(help="Of this computer; 0: any that is free.", min=0, max=65535)] = 0,
+    port: Annotated[int, typer.Option("--tcp", help="Port here; 0: any that is free.", min=0, max=65535)] = 0,
     as_json: Json = False,
 ) -> None:
     """Show a folder in the browser, and run commands by forms.
