@@ -57,11 +57,12 @@ class Limit:
     until: float = math.inf
 
     def __post_init__(self):
-        self.ends = self.clock() + self.span
+        self.began = self.clock()
+        self.ends = self.began + self.span
 
     def over(self, late: float = 0.0) -> bool:
-        """Whether it is past, or by so much of it."""
-        end = min(self.ends, self.until) if not late else self.ends + late * self.span
+        """Whether it is past, or by so much of what it was until its end."""
+        end = self.ends + late * (self.ends - self.began) if late else min(self.ends, self.until)
         return self.clock() >= end
 
     def search(self) -> None:
@@ -85,9 +86,9 @@ class Budget:
         return any(limit.over(share) for limit in self.limits)
 
     def stop(self) -> None:
-        """It is over now."""
-        for limit in self.limits:
-            limit.ends = limit.clock()
+        """The time is over now."""
+        time, _ = self.limits
+        time.ends = time.clock()
 
     @contextmanager
     def searching(self) -> Iterator[None]:

@@ -1,6 +1,9 @@
 """Networks that several tests use: a small one, and random ones with nested modules, feedback, every activation."""
 
+from pathlib import Path
+
 import numpy as np
+import scipy.io
 
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.network import Layer, Network, Port
@@ -17,6 +20,15 @@ def delay_line() -> Network:
     network.connect("sum", "sum.own", delay=1)
     network.connect("sum", "y")
     return network
+
+
+def recorded_line(folder: Path) -> None:
+    """Write a recording as r.mat, another as a.csv, and the delay line as `line`."""
+    t = np.arange(300) * 1e-3
+    scipy.io.savemat(folder / "r.mat", {"t": t, "u": np.sin(40 * t), "y": np.cos(40 * t)})
+    rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(200))
+    (folder / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
+    delay_line().save(folder / "line")
 
 
 def random_network(seed: int, nested: bool = True, activations: tuple[str, ...] = TAME) -> Network:

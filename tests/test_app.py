@@ -313,7 +313,7 @@ def test_a_folder_that_is_none_and_a_taken_port_are_refused(greygate, folder):
         taken.listen()
         port = taken.getsockname()[1]
         code, out, error = greygate("app", folder, "--tcp", port)
-        assert (code, out, f"--port {port}: cannot be used" in error) == (2, "", True)
+        assert (code, out, f"--tcp {port}: cannot be used" in error) == (2, "", True)
     assert greygate("app", folder / "none")[0] == 2
 
 

@@ -9,10 +9,8 @@ import time
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
-import scipy.io
-from networks import delay_line
+from networks import recorded_line
 from workers import killed, killed_always
 
 from greygate import children
@@ -29,11 +27,7 @@ TRAP = "from pathlib import Path\nPath({ran!r}).write_text(__name__)\n"
 def given(tmp_path_factory) -> Path:
     """A folder with what the commands need."""
     folder = tmp_path_factory.mktemp("given")
-    t = np.arange(300) * 1e-3
-    scipy.io.savemat(folder / "r.mat", {"t": t, "u": np.sin(40 * t), "y": np.cos(40 * t)})
-    rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(200))
-    (folder / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
-    delay_line().save(folder / "line")
+    recorded_line(folder)
     for name, kind in (("fast", {"effect": "speed_slip", "kind": "one"}), ("clean", {"kind": "clean"})):
         conceal("cable_drum", 3, folder / name, **kind)
         for table in (folder / name).glob("*.csv"):

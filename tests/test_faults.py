@@ -203,7 +203,7 @@ def test_synthesize_leaves_the_old_figures_or_the_new_ones(built, monkeypatch):
 
 def test_report_leaves_the_old_pages_or_the_new_ones(built, tmp_path, monkeypatch):
     study = {"title": "line", "scenarios": {}}
-    monkeypatch.setattr(reporting, "_study", lambda *a, **o: study)
+    monkeypatch.setattr(reporting, "study_of", lambda *a, **o: study)
     monkeypatch.setattr(report, "page", lambda *a: "<html>new</html>")
     root = tmp_path / "pages"
     root.mkdir()

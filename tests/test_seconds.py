@@ -69,6 +69,8 @@ def test_what_is_not_tested_in_time_is_not_claimed(recording, monkeypatch):
     assert found["verdict"] == "unexplained"
     assert not found["effects"]
     assert "dry_friction is not claimed: there was no time to test it" in found["refused"]
+    assert "the parameters are left as on the data sheet: there was no time to test others" in found["refused"]
+    assert {s: p["value"] for s, p in found["parameters"].items()} == {"mass": 2.0, "viscous": 4.0}
 
 
 def test_a_claim_that_has_time_is_made(recording):
@@ -112,3 +114,15 @@ def worth(item: int) -> int:
         progress.spend(2)
         progress.check()
     return item
+
+
+@pytest.mark.parametrize("seconds", [np.inf, 100.0])
+def test_what_is_stopped_has_a_share_of_the_time_until_then_to_end(seconds, monkeypatch):
+    slow = Slow()
+    monkeypatch.setattr(progress, "monotonic", slow.now)
+    budget = progress.Budget(seconds)
+    slow.calls = 10
+    budget.stop()
+    assert (budget.over, budget.late(0.5)) == (True, False)
+    slow.calls = 15
+    assert budget.late(0.5)

@@ -9,10 +9,8 @@ import sys
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
-import scipy.io
-from networks import delay_line
+from networks import recorded_line
 from rooms import ROOT, modules
 
 from greygate import children, system
@@ -43,11 +41,7 @@ def test_what_some_systems_lack_is_asked_for_in_one_file():
 def given(tmp_path_factory) -> Path:
     """A folder with what the commands need."""
     folder = tmp_path_factory.mktemp("given")
-    t = np.arange(300) * 1e-3
-    scipy.io.savemat(folder / "r.mat", {"t": t, "u": np.sin(40 * t), "y": np.cos(40 * t)})
-    rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(200))
-    (folder / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
-    delay_line().save(folder / "line")
+    recorded_line(folder)
     conceal("cable_drum", 3, folder / "rig", kind="clean")
     return folder
 
@@ -75,7 +69,7 @@ def test_a_system_without_posix_is_one(given):
         "compile line.toml a.csv --architecture parallel --out built",
         "emulate built a.csv --out predicted.csv",
         "simulate rig rig/{recording} --out simulated.csv",
-        "identify a.csv --input u --output y --seconds 3 --jobs 2 --out found",
+        "identify a.csv --input u --output y --seconds 20 --jobs 2 --out found",
         "doctor",
     ],
 )

@@ -218,7 +218,7 @@ def serve(folder: Path, commands: Mapping[str, Any], port: int, say: Callable[[s
             own.bind((HOST, port))
             own.listen()
         except (OSError, OverflowError) as error:
-            raise InputError(f"--port {port}: cannot be used ({error}); give another, or 0 for any") from None
+            raise InputError(f"--tcp {port}: cannot be used ({error}); give another, or 0 for any") from None
         say(f"http://{HOST}:{own.getsockname()[1]}/{token}/")
         server = uvicorn.Server(uvicorn.Config(site(folder, commands, token), log_level="error", access_log=False))
         try:

@@ -154,8 +154,8 @@ def followed(decided: Callable[[Task], Decided], known: Task, knees: Mapping[str
 
 
 def better(corrected: Decided, decided: Callable[[Task], Decided], given: Task) -> Decided:
-    """What is decided of the data sheet's plant, where that is better on what decides: a diagnosis that leaves
-    something open can lead astray.
+    """What is decided of the data sheet's plant, where that is better: a diagnosis that leaves something open can lead
+    astray.
     """
     try:
         plain = decided(given)
