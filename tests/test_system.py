@@ -9,6 +9,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from networks import recorded_line
 from rooms import ROOT, modules
@@ -42,6 +43,11 @@ def given(tmp_path_factory) -> Path:
     """A folder with what the commands need."""
     folder = tmp_path_factory.mktemp("given")
     recorded_line(folder)
+    u, y = np.repeat(np.random.default_rng(1).uniform(-1, 1, 60), 10), [0.0]
+    for value in u[1:]:
+        y.append(0.8 * y[-1] + 0.2 * np.tanh(3.0 * value))  # a bent curve and a lag, which no linear model is
+    rows = "".join(f"{k * 1e-3:.3f},{a:.5f},{b:.5f}\n" for k, (a, b) in enumerate(zip(u, y, strict=True)))
+    (folder / "bent.csv").write_text("t_s,u_V,y_m\n" + rows)
     conceal("cable_drum", 3, folder / "rig", kind="clean")
     return folder
 
@@ -69,7 +75,7 @@ def test_a_system_without_posix_is_one(given):
         "compile line.toml a.csv --architecture parallel --out built",
         "emulate built a.csv --out predicted.csv",
         "simulate rig rig/{recording} --out simulated.csv",
-        "identify a.csv --input u --output y --seconds 20 --jobs 2 --out found",
+        "identify bent.csv --input u --output y --seconds 10 --jobs 2 --out found",
         "doctor",
     ],
 )
@@ -77,7 +83,7 @@ def test_commands_work_without_posix(words, given):
     recording = min(p.name for p in (given / "rig").glob("*.csv"))
     done = called(given, words.format(recording=recording))
     assert "Traceback" not in done.stderr
-    assert done.returncode == ("identify" in words), done.stderr  # which finds no model of such a channel, and says so
+    assert done.returncode == 0, done.stderr
     left = [p.name for p in given.rglob(".*greygate*")]
     assert left == []
 
