@@ -591,3 +591,5 @@ def test_slopes_of_an_arm_in_finer_steps_are_those_of_longer_ones(tmp_path):
         likelihood.slopes(unknown, *given, errors, temper, roughly=roughly)[:, :, 0] for roughly in (False, True)
     )
     assert 0 < np.linalg.norm(exact - longer) < 0.05 * np.linalg.norm(exact)
+    assert likelihood.fit(unknown, rival=1e9).roughly  # that only ranks
+    assert not likelihood.fit(unknown).roughly
