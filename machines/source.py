@@ -11,7 +11,8 @@ from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
 from greygate.models import sampling
-from greygate.models.importers.files import foreign, load, load_quantized
+from greygate.models.importers.beside import Beside
+from greygate.models.importers.files import compared, foreign, load, load_quantized
 from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network, Port
 from greygate.models.training.record import Record
@@ -89,7 +90,18 @@ class Source:
                 raise InputError(f"{self.name}: no recordings; give FILE.csv after it")
             return dict(entry(self.name).records())
         records = read_records(self.network(), self.recordings)
+        if self.imported:
+            once(f"{self.name}: {self.imported}")
         return {scenario: replace(record, skip=self.settle) for scenario, record in records.items()}
+
+    @cached_property
+    def imported(self) -> Beside | None:
+        """The worst of the recordings for a network of another tool beside its own program; None for any other."""
+        if not (self.recordings and foreign(self.name)):
+            return None
+        records = read_records(self.network(), self.recordings).values()
+        found = [b for r in records if (b := compared(self.name, r.inputs))]
+        return max(found, key=lambda b: (bool(b.why), b.largest), default=None)
 
     def apart(self, held: Mapping[str, str]) -> tuple[dict[str, Record], dict[str, Record]]:
         """The records to train on, and those of other recordings, scenario -> file, that are held out."""

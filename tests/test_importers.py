@@ -1,9 +1,11 @@
 """Networks of other tools answer as in their own tool."""
 
+import json
 import os
 import re
 import subprocess
 import sys
+from importlib.metadata import version
 from importlib.util import find_spec
 
 import numpy as np
@@ -16,9 +18,9 @@ from torch import nn
 
 from greygate.errors import InputError
 from greygate.hardware.build import Project
-from greygate.models.importers import pytorch
-from greygate.models.importers.files import load
-from greygate.models.importers.onnx_graph import from_onnx
+from greygate.models.importers import beside, pytorch
+from greygate.models.importers.files import _told, compared, load
+from greygate.models.importers.onnx_graph import from_onnx, imported
 from greygate.models.importers.pytorch import from_torch, to_torch
 from greygate.plants.recording import Recording
 
@@ -77,6 +79,53 @@ def test_the_recipe_for_keras_gives_a_network_that_answers_as_keras(tmp_path):
     assert [p.name for p in network.inputs] == ["keras_tensor_1", "keras_tensor_2"]
     assert network.outputs[0].name[0] == "n", "Keras calls it by a number"
     assert np.abs(free_run(network, x) - np.load(tmp_path / "y.npy")).max() < AGREED
+
+
+# -- over a recording ------------------------------------------------------------------------------------------------
+
+
+BESIDE = [c for c in ALL if c.source == "ONNX"]
+
+
+def recorded(case, folder):
+    """(model file, columns of the network's inputs)."""
+    network, _ = case.make(folder)
+    x = signal(STEPS, len(network.inputs))
+    (file,) = folder.glob("*.onnx")
+    if "Cell" in case.model:
+        file.with_suffix(".ports.toml").write_text('state = { h = "h_next" }')
+    return file, {p.name: x[:, k] for k, p in enumerate(network.inputs)}
+
+
+@pytest.mark.parametrize("case", BESIDE, ids=lambda c: c.model.replace(" ", "-"))
+@pytest.mark.parametrize("program", ["onnxruntime", "ONNX's reference"])
+def test_a_model_in_its_own_program_runs_the_recording_beside_the_network(case, program, tmp_path, monkeypatch):
+    file, columns = recorded(case, tmp_path)
+    if program != "onnxruntime":
+        monkeypatch.setattr(beside, "find_spec", lambda name: None)
+    found = compared(file, columns)
+    assert found.program.startswith(program)
+    assert (found.steps, found.largest < AGREED, found.why) == (STEPS, True, "")
+
+
+def test_a_network_that_answers_otherwise_than_its_model_is_told_by_the_recording(tmp_path):
+    file, columns = recorded(next(c for c in BESIDE if c.model == "GRU"), tmp_path)
+    made = imported(file, **_told(file))
+    wrong = made.network.with_parameters({n: 0.9 * v for n, v in made.network.parameters().items()})
+    said = str(beside.beside(made._replace(network=wrong), file, columns))
+    assert re.search(r"differ by at most 0\.\d+ of \w+ in 300 steps; that is more than rounding", said)
+
+
+def test_commands_say_how_far_the_network_is_from_onnxruntime(tmp_path):
+    file, columns = recorded(next(c for c in BESIDE if c.model == "scikit-learn pipeline"), tmp_path)
+    network = load(file)
+    columns |= dict(zip([p.name for p in network.outputs], free_run(network, signal(STEPS, 2)).T, strict=True))
+    Recording(1e-3, columns, dict.fromkeys(columns, "1")).write_csv(tmp_path / "run.csv")
+    for command, option in (("validate", "--html"), ("compile", "--out")):
+        code, out, said = greygate(command, file, tmp_path / "run.csv", option, tmp_path / command, "--json")
+        told = json.loads(out)["imported"]
+        assert (code, told["steps"], told["largest"] < AGREED) == (0, STEPS, True)
+        assert f"{file}: onnxruntime {version('onnxruntime')} and the network differ by at most" in said
 
 
 # -- what cannot be carried ------------------------------------------------------------------------------------------

@@ -229,7 +229,9 @@ class _Wanted:
         ]  # fmt: skip
         signals = {s.name: str(s.fix) for s in compiled.program.signals.values()}
         top = compiled.program.name
-        result = {"folder": str(self.out), "top": top, "passes": passes, "signals": signals, "rmse": rmse}
+        result: dict = {"folder": str(self.out), "top": top, "passes": passes, "signals": signals, "rmse": rmse}
+        if beside := self.source.imported:
+            result["imported"] = beside
         return result, [*_steps(compiled), *_errors(rmse), f"written to {self.out}, top module {top}"]
 
 

@@ -166,7 +166,8 @@ def validate(
         say(supposed)
     told = advice(judged)
     lines = [*table(judged), *told, f"written to {html}"]
-    give("validate", judged.figures() | {"advice": told}, as_json, lines, judged.bounded)
+    beside = {"imported": found} if (found := source.imported) else {}
+    give("validate", judged.figures() | {"advice": told} | beside, as_json, lines, judged.bounded)
 
 
 def identify(

@@ -12,6 +12,7 @@ from greygate.hardware.proofs.elaborated import Proof
 from greygate.hardware.verify import Comparison
 from greygate.mismatch.concealed.printed import Score, Sealed
 from greygate.mismatch.printed import Rms
+from greygate.models.importers.beside import Beside
 from greygate.plain import Count, Figure, Hash, Json
 
 Catalogue = Annotated[dict[str, str], "Name -> title of a network or a machine of the catalogue."]
@@ -98,6 +99,7 @@ class Compiling(TypedDict):
         "Scenario -> output -> RMSE of float, of fixed point, and of float before pruning.",
     ]
     explored: NotRequired[Explored]
+    imported: NotRequired[Annotated[Beside, "A network of another tool beside its own program."]]
 
 
 class Concealing(TypedDict):

@@ -1,12 +1,16 @@
 """A network from a file of another tool, by the ending of its name."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from greygate.errors import InputError
+from greygate.models.importers.beside import Beside, beside
 from greygate.models.importers.builder import port
 from greygate.models.importers.matlab import from_matlab
-from greygate.models.importers.onnx_graph import from_onnx, from_qonnx
+from greygate.models.importers.onnx_graph import from_onnx, from_qonnx, imported
 from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network
 from greygate.reading import line, listed, named, read_toml, table
@@ -43,6 +47,19 @@ def load_quantized(path: Path | str) -> Quantized | None:
     if path.suffix.lower() != ".onnx":
         return None
     return from_qonnx(path, **_told(path))
+
+
+def compared(path: Path | str, inputs: Mapping[str, np.ndarray]) -> Beside | None:
+    """A model beside its network over a recording, as `beside`; None for a file that no other program here runs.
+
+    inputs: port of the network -> (N,), in its unit. Raises InputError as `load`.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".onnx":
+        return None
+    if load_quantized(path) is not None:
+        return Beside("onnxruntime", why="it has no Quant nodes")
+    return beside(imported(path, **_told(path)), path, inputs)
 
 
 def _told(path: Path) -> dict[str, Any]:

@@ -60,6 +60,18 @@ def from_onnx(
     >>> from_onnx("sum.onnx", state={"s": "after"})
     <Network sum: u [1] -> y [1]; 3 layers, 8 parameters>
     """
+    return imported(path, inputs, outputs, state, initial, name).network
+
+
+def imported(
+    path: Path | str,
+    inputs: Sequence[Port | str] | None = None,
+    outputs: Sequence[Port | str] | None = None,
+    state: Mapping[str, str] | None = None,
+    initial: Mapping[str, np.ndarray] | None = None,
+    name: str | None = None,
+) -> Imported:
+    """As `from_onnx`: the network, and what of the model it stands for."""
     model = read(Path(path))
     kind = Declaring if _quantizes(model) else Builder
     return _built(model, path, kind, inputs, outputs, state, initial, name)[1]
@@ -80,8 +92,8 @@ def from_qonnx(
     model = read(Path(path))
     if not _quantizes(model):
         return None
-    builder, network = _built(model, path, Declaring, inputs, outputs, state, None, name)
-    return Quantized(network, tuple(builder.steps))
+    builder, made = _built(model, path, Declaring, inputs, outputs, state, None, name)
+    return Quantized(made.network, tuple(builder.steps))
 
 
 def _quantizes(model: Any) -> bool:
@@ -97,7 +109,7 @@ def _built(
     state: Mapping[str, str] | None,
     initial: Mapping[str, np.ndarray] | None,
     name: str | None,
-) -> tuple[Kind, Network]:
+) -> tuple[Kind, Imported]:
     """The builder of a model's network, and the network, which answers as the model."""
     graph, state = model.graph, dict(state or {})
     fixed = {t.name: array(t) for t in graph.initializer}
@@ -159,8 +171,9 @@ def _built(
         builder.keep(kept[n], results[after])
     network = builder.finished()
     states = {n: (kept[n], axes[n], after) for n, after in state.items()}
-    check(Imported(network, *tensors, states, walk.constants, walk.changing, model.opset_import), str(path))
-    return builder, network
+    made = Imported(network, *tensors, states, walk.constants, walk.changing, model.opset_import)
+    check(made, str(path))
+    return builder, made
 
 
 def _starts(

@@ -1,7 +1,7 @@
 """Operations of ONNX on arrays, by its own reference, within limits; whether a network answers as its model."""
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from math import ceil, prod
 from typing import Any, NamedTuple
@@ -301,7 +301,7 @@ def _difference(
     if any(len(r) not in (1, count) for r in rows.values()):
         return "its inputs hold different numbers of samples"
     try:
-        wanted = _answer(made, feeds, reference)
+        wanted = answer(made, feeds, reference)
     except Exception as error:  # of shapes that do not fit, in many ways
         return f"ONNX's reference does not run {count} of them: {one_line(' '.join(str(error).split()))[:100]}"
     worst: str | None = None
@@ -315,7 +315,7 @@ def _difference(
     return worst
 
 
-def _answer(made: Imported, feeds: Mapping[str, np.ndarray], reference: Reference) -> dict[str, np.ndarray]:
+def answer(made: Imported, feeds: Mapping[str, np.ndarray], reference: Reference) -> dict[str, np.ndarray]:
     """What the model gives, all floats as float64, so that its own rounding is no difference."""
     values = {n: _wide(v) for n, v in made.constants.items()} | dict(feeds)
     for node in made.changing:
@@ -360,18 +360,21 @@ def _stepped(made: Imported, rows: Mapping[str, np.ndarray], count: int, on: boo
 def _off(name: str, got: np.ndarray, wanted: np.ndarray, on: bool) -> str | None:
     """How an output differs. got: a row for each sample. on: it may also be that of the last sample alone."""
     count, size = got.shape
-    arranged = []
-    if wanted.size == got.size:
-        arranged = [np.moveaxis(wanted, k, 0) for k, n in enumerate(wanted.shape) if n == count] + [wanted]
-    elif on and wanted.size == size:
-        arranged, got = [wanted], got[-1:]
-    if not arranged:
+    if on and wanted.size == size:
+        got = got[-1:]
+    if wanted.size != got.size:
         return f"output {shown(name)} has the shape {list(wanted.shape)} for {count} samples"
     with np.errstate(invalid="ignore"):
-        worst = min(_least(np.abs(w.reshape(got.shape) - got).max()) for w in arranged)
+        worst = min(_least(np.abs(w - got).max()) for w in arranged(wanted, *got.shape))
     if worst <= AGREED * np.abs(wanted).max() + LEAST:
         return None
     return f"output {shown(name)} by {worst:.2g}"
+
+
+def arranged(wanted: np.ndarray, count: int, size: int) -> Iterator[np.ndarray]:
+    """What an output may mean: a row for each sample (count, size), along any axis of that length, or in order."""
+    yield from (np.moveaxis(wanted, k, 0).reshape(count, size) for k, n in enumerate(wanted.shape) if n == count)
+    yield wanted.reshape(count, size)
 
 
 def _least(worst: np.floating) -> float:

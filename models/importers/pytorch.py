@@ -29,6 +29,7 @@ from greygate.errors import InputError, shown
 from greygate.models.importers import curves
 from greygate.models.importers.builder import Builder, Value, constant, joined, taken
 from greygate.models.network import Network, Port
+from greygate.progress import once
 
 if TYPE_CHECKING:
     import torch
@@ -233,7 +234,7 @@ class _Trial:
             )
 
     def compare(self, network: Network) -> None:
-        """Raise InputError unless the network answers to random steps as the module does, from step to step."""
+        """Raise InputError unless the network answers to random steps as the module does, from step to step; say it."""
         rng, ports = np.random.default_rng(0), self.builder.inputs
         size = np.resize([1.0, 0.1, 10.0], STEPS)  # within and beyond the limits that a module may have
         drawn = [p.offset + p.scale * size[:, None] * rng.standard_normal((STEPS, p.size)) for p in ports]
@@ -255,6 +256,9 @@ class _Trial:
                 row, k = np.argwhere(apart)[0]
                 by = f"{wanted[row, k]:.6g} beside {other[row, k]:.6g} in {names[k]} at step {steps[row] + 1}"
                 raise InputError(f"{self.kind} differs {what}: {by}")
+        with np.errstate(all="ignore"):
+            largest = np.nan_to_num(np.abs(got - wanted) / np.maximum(finite.max(0), SILENT * scales)).max(initial=0.0)
+        once(f"{self.kind}: torch and the network differ by at most {largest:.2g} in {STEPS} random steps")
 
     def stepped(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(steps, outputs at these) of a module that takes one step at a time, its states fed on."""

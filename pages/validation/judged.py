@@ -11,6 +11,7 @@ from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.source import Source
 from greygate.models.accuracy import rms
+from greygate.models.importers.beside import Beside
 from greygate.models.residuals import asks_for
 from greygate.models.spectra import Octave
 from greygate.models.training.initial import initialised
@@ -84,6 +85,7 @@ class ValidationFigures(TypedDict):
     outputs: list[OutputFigures]
     ranges: list[Covered]
     advice: list[str]
+    imported: NotRequired[Annotated[Beside, "A network of another tool beside its own program."]]
 
 
 @dataclass(frozen=True)
