@@ -13,7 +13,7 @@ import onnxruntime
 from onnx import TensorProto, helper, numpy_helper
 
 from greygate.errors import InputError
-from greygate.models.importers.onnx_graph import from_onnx
+from greygate.models.importers.onnx_graph import imported
 
 OPSETS = range(17, onnx.defs.onnx_opset_version() + 1)
 AGREED = 1e-6  # of the largest answer, or of 1
@@ -254,7 +254,8 @@ def recurrent(op: str, opset: int, shape: Sequence, left_out: str = "", more: Ma
     g, held = GATES[op], ["initial_h", "initial_c"][: 2 if op == "LSTM" else 1]
     directions = 2 if options.get("direction") == "bidirectional" else 1
     given = {"W": f(directions, g * n, 3), "R": f(directions, g * n, n) / 2, "B": f(directions, 2 * g * n)}
-    batch = shape[1] if isinstance(shape[1], int) else 1
+    samples = shape[0 if options.get("layout") else 1]
+    batch = samples if isinstance(samples, int) else 1
     if not state:
         given |= {h: f(directions, batch, n) / 3 for h in held}
     given = {k: v for k, v in given.items() if k not in left_out.split()} | dict(more or {})
@@ -477,13 +478,14 @@ def judged(case: Case, path: Path) -> tuple[str, str]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            network = from_onnx(path, state=case.state or None, name="case")
+            made = imported(path, state=case.state or None, name="case")
     except InputError as error:
         return "refused", str(error).removeprefix(f"{path}: ")
     except Exception as error:
         return "traceback", f"{type(error).__name__}: {error}"
     try:
-        worst = difference(case, network, path)
+        windows = {t.name: t for t in made.inputs if t.window is not None}
+        worst = streamed(case, made, path) if windows else difference(case, made.network, path)
     except _Invalid as error:
         return "no model", str(error)
     return ("right" if worst <= AGREED else "wrong"), f"{worst:.2g}"
@@ -542,6 +544,23 @@ def difference(case: Case, network: Any, path: Path) -> float:
             }
             ways.append(max(_nearest(answers[n], w, together) for n, w in out.items()))
         worst = max(worst, min(ways))
+    return worst
+
+
+def streamed(case: Case, made: Any, path: Path) -> float:
+    """As `difference`, of a model of the last samples: at every step it is given those."""
+    rng, run = np.random.default_rng(1), runner(case.model, path)
+    longest = max(t.length for t in made.inputs)
+    rows = {t.name: rng.normal(size=(longest + STEPS, sum(p.size for p in t.ports))) for t in made.inputs}
+    columns = {p.name: rows[t.name][:, k] for t in made.inputs for k, p in enumerate(t.ports)}
+    got, worst = made.network.run(columns), 0.0
+    for k in range(longest, longest + STEPS):
+        try:
+            out = run({t.name: t.samples(rows[t.name][:k]).astype(np.float32) for t in made.inputs})
+        except Exception as error:
+            raise _Invalid(str(error)) from None
+        for t in made.outputs:
+            worst = max(worst, apart(np.array([got[p.name][k - 1] for p in t.ports]), np.ravel(out[t.name])))
     return worst
 
 

@@ -10,7 +10,7 @@ from onnx_cases import ML, OPSETS, Case, X, built, cases, f, i, judged, node_cas
 
 from greygate.errors import InputError
 from greygate.models.importers import onnx_file
-from greygate.models.importers.onnx_graph import FUNCTIONS, from_onnx
+from greygate.models.importers.onnx_graph import FUNCTIONS, from_onnx, imported
 
 THINNED = 61  # of the choices of options: a prime, so that every operator is met
 NODES = 3  # likewise of the node tests of the onnx package
@@ -73,25 +73,46 @@ WINDOW = {
 PLACES = {"one": i(1), "zero": np.array(0), "last": np.array(-1)}
 
 
-@pytest.mark.parametrize("nodes", WINDOW)
-def test_a_network_over_a_window_is_refused(nodes, tmp_path):
-    said = refusal(built(WINDOW[nodes], {"x": [1, 5, 2]}, ["y"], PLACES), tmp_path)
-    assert "input 'x' holds 5 samples along its axis 1, which the model mixes" in said
-    assert said.endswith("a network takes one sample a step: export the model with that axis 1")
-
-
 FIXED = {"w": f(8, 1), "third": np.array(3)}
 BEYOND = {
     "flat": [helper.make_node("Flatten", ["x"], ["t"]), helper.make_node("MatMul", ["t", "w"], ["y"])],
     "fourth sample": [helper.make_node("Gather", ["x", "third"], ["y"], axis=1)],
 }
+FILTERS = {
+    "convolution": [helper.make_node("Conv", ["x", "k"], ["y"])],
+    "behind a pad": [helper.make_node("Pad", ["x", "pads"], ["p"]), helper.make_node("Conv", ["p", "k"], ["y"])],
+    "average": [helper.make_node("AveragePool", ["x"], ["y"], kernel_shape=[3], strides=[2])],
+    "all of them": [helper.make_node("GlobalAveragePool", ["x"], ["y"])],
+}
+
+
+@pytest.mark.parametrize("nodes", {**WINDOW, **BEYOND})
+def test_a_model_of_a_window_becomes_a_delay_line_with_taps(nodes, tmp_path, capfd):
+    model = built({**WINDOW, **BEYOND}[nodes], {"x": ["N", 4, 2]}, ["y"], PLACES | FIXED)
+    right(model, tmp_path)
+    assert "input 'x' is a window along its axis 1: the sample of this step and those before" in capfd.readouterr().err
+    made = imported(saved(model, tmp_path))
+    assert [p.name for p in made.network.inputs] == ["x_1", "x_2"]
+    assert max(c.delay for c in made.network.flatten().connections) <= 3
+
+
+@pytest.mark.parametrize("nodes", FILTERS)
+def test_what_goes_into_a_convolution_is_a_window_along_its_last_axis(nodes, tmp_path):
+    model = built(FILTERS[nodes], {"x": [1, 2, 7]}, ["y"], {"k": f(3, 2, 3), "pads": i(0, 0, 2, 0, 0, 0)})
+    right(model, tmp_path)
+    assert len(from_onnx(saved(model, tmp_path)).inputs) == 2
+
+
+def test_a_batch_of_windows_must_be_answered_one_by_one(tmp_path):
+    nodes = [helper.make_node("ReduceMean", ["x", "both"], ["y"], keepdims=0)]
+    said = refusal(built(nodes, {"x": ["N", 4, 2]}, ["y"], {"both": i(0, 1)}), tmp_path)
+    assert "along 'N', an axis whose length is free, the model mixes samples" in said
 
 
 @pytest.mark.parametrize("nodes", BEYOND.values(), ids=BEYOND)
-def test_an_operation_that_does_not_fit_one_sample_of_a_window_is_refused_with_the_window(nodes, tmp_path):
-    for steps in (4, "T"):
-        said = refusal(built(nodes, {"x": [1, steps, 2]}, ["y"], FIXED), tmp_path)
-        assert f"does not fit one sample, and input 'x' is [1, {steps!r}, 2]; a network takes one sample a step" in said
+def test_an_operation_that_does_not_fit_one_sample_of_a_free_window_is_refused_with_the_window(nodes, tmp_path):
+    said = refusal(built(nodes, {"x": [1, "T", 2]}, ["y"], FIXED), tmp_path)
+    assert "does not fit one sample, and input 'x' is [1, 'T', 2]; a network takes one sample a step" in said
 
 
 @pytest.mark.parametrize("nodes", WINDOW)
@@ -107,9 +128,15 @@ def test_a_batch_a_sequence_and_the_last_sample_of_a_window_are_carried(tmp_path
     right(recurrent("LSTM", 20, ["T", 1, 3]).model, tmp_path)
 
 
-def test_a_recurrent_operator_over_a_window_is_refused_as_its_state_begins_anew(tmp_path):
-    said = refusal(recurrent("GRU", 18, [5, 1, 3]).model, tmp_path)
-    assert "holds 5 samples along its axis 0, and its state would begin anew behind them" in said
+WAYS = ("forward", "reverse", "bidirectional")
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("kind", ["RNN", "GRU", "LSTM"])
+def test_a_recurrent_operator_over_a_window_begins_anew_in_every_step(kind, way, tmp_path):
+    lengths = {"sequence_lens": np.array([4], np.int32)}
+    for more in ({}, lengths):
+        right(recurrent(kind, 18, [5, 1, 3], direction=way, more=more).model, tmp_path)
 
 
 def test_a_statistic_of_batch_normalization_belongs_to_axis_1(tmp_path):
@@ -124,23 +151,50 @@ def test_a_statistic_of_batch_normalization_belongs_to_axis_1(tmp_path):
     assert "training mode" in refusal(one("BatchNormalization", [1, 2], *given, opset=18, training_mode=1), tmp_path)
 
 
-RECURRENT = {  # what is said -> the operator
-    "LSTM: peepholes": lambda: recurrent("LSTM", 20, ["T", 1, 3], more={"P": f(1, 12)}),
-    "GRU: sequence_lens": lambda: recurrent("GRU", 20, ["T", 1, 3], more={"sequence_lens": np.array([1], np.int32)}),
-    "RNN: clip": lambda: recurrent("RNN", 20, ["T", 1, 3], clip=0.2),
-    "GRU: layout": lambda: recurrent("GRU", 20, [1, 1, 3], layout=1),
-    "LSTM: input_forget": lambda: recurrent("LSTM", 20, ["T", 1, 3], input_forget=1),
-    "RNN: activation_alpha": lambda: recurrent("RNN", 20, ["T", 1, 3], activation_alpha=[0.3]),
-    "GRU: direction reverse": lambda: recurrent("GRU", 20, ["T", 1, 3], direction="reverse"),
-    "LSTM: activations sigmoid, tanh, relu": lambda: recurrent(
-        "LSTM", 20, ["T", 1, 3], activations=["Sigmoid", "Tanh", "Relu"]
+RECURRENT = {
+    "peepholes": lambda shape: recurrent("LSTM", 20, shape, more={"P": f(1, 12)}),
+    "clip": lambda shape: recurrent("RNN", 20, shape, clip=0.2),
+    "clip of an LSTM": lambda shape: recurrent("LSTM", 20, shape, clip=0.2),
+    "clip of a GRU": lambda shape: recurrent("GRU", 20, shape, clip=0.2, linear_before_reset=1),
+    "input_forget": lambda shape: recurrent("LSTM", 20, shape, input_forget=1),
+    "activations": lambda shape: recurrent("LSTM", 20, shape, activations=["HardSigmoid", "Relu", "Softsign"]),
+    "alpha in turn": lambda shape: recurrent(
+        "LSTM", 20, shape, activations=["Sigmoid", "Affine", "LeakyRelu"], activation_alpha=[0.7, 0.2],
+        activation_beta=[0.1],
     ),
+    "limits": lambda shape: recurrent(
+        "GRU", 20, shape, activations=["HardSigmoid", "ScaledTanh"], activation_alpha=[0.3, 0.8],
+        activation_beta=[0.4, 1.2],
+    ),
+    "elu within limits": lambda shape: recurrent(
+        "RNN", 20, shape, activations=["Elu"], activation_alpha=[0.6], clip=3.0
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("option", RECURRENT)
+def test_an_option_of_a_recurrent_operator_is_answered_as_by_onnxruntime(option, tmp_path):
+    for shape in (["T", 1, 3], [4, 1, 3]):
+        right(RECURRENT[option](shape).model, tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["RNN", "GRU", "LSTM"])
+def test_the_batch_may_be_the_first_axis_of_a_recurrent_operator(kind, tmp_path):
+    for shape in ([1, 1, 3], [1, 4, 3]):
+        right(recurrent(kind, 20, shape, layout=1).model, tmp_path)
+
+
+UNCARRIED = {  # what is said -> the operator
+    "sequence_lens": lambda: recurrent("GRU", 20, ["T", 1, 3], more={"sequence_lens": np.array([1], np.int32)}),
+    "direction reverse": lambda: recurrent("GRU", 20, ["T", 1, 3], direction="reverse"),
+    "activation affine without its alpha": lambda: recurrent("RNN", 20, ["T", 1, 3], activations=["Affine"]),
+    "activation gelu is not carried": lambda: recurrent("RNN", 20, ["T", 1, 3], activations=["Gelu"]),
 }
 
 
-@pytest.mark.parametrize("why", RECURRENT)
+@pytest.mark.parametrize("why", UNCARRIED)
 def test_an_option_of_a_recurrent_operator_that_is_not_carried_is_refused(why, tmp_path):
-    assert why in refusal(RECURRENT[why]().model, tmp_path)
+    assert why in refusal(UNCARRIED[why]().model, tmp_path)
 
 
 def test_the_usual_activations_of_a_recurrent_operator_may_be_written_out(tmp_path):

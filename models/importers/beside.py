@@ -49,7 +49,8 @@ def beside(made: Imported, path: Path, inputs: Columns) -> Beside:
     inputs: of the network, port -> (N,), in its unit; the first STEPS of them are run. A state goes on from step to
     step.
     """
-    goes_on = not made.states and any(c.delay for c in made.network.flatten().connections)
+    windows = any(t.window is not None for t in made.inputs)
+    goes_on = not windows and not made.states and any(c.delay for c in made.network.flatten().connections)
     axes = [*range(min(len(t.axes) for t in made.inputs) - 1)] if goes_on else []
     found, why = [], ""
     for axis in (*axes, None):
@@ -108,8 +109,9 @@ def _stepped(made: Imported, given: Columns, run: Run) -> dict[str, np.ndarray]:
         n: np.reshape(made.network.layers()[layer].initial, shapes[n]) for n, (layer, _, _) in made.states.items()
     }
     rows: dict[str, list[np.ndarray]] = {t.name: [] for t in made.outputs}
+    past = {t.name: np.pad(given[t.name], ((t.length - 1, 0), (0, 0))) for t in made.inputs}
     for k in range(len(next(iter(given.values())))):
-        found = run({t.name: np.resize(given[t.name][k], lengths(t.axes, {})) for t in made.inputs} | states)
+        found = run({t.name: t.samples(past[t.name][: k + t.length]) for t in made.inputs} | states)
         states = {n: np.reshape(found[after], shapes[n]) for n, (_, _, after) in made.states.items()}
         for t in made.outputs:
             size = sum(p.size for p in t.ports)

@@ -24,6 +24,8 @@ MOST = 1 << 22  # weights of one value: a matrix of 2,048 by 2,048
 _NAMED = re.compile(r"\s*(\S+?)\s*(?:\[([^\]]*)\])?\s*")  # of a port, with its unit
 Signal = tuple[str, int]
 """(module or input port, delay in steps)."""
+Activate = Callable[["Value", str], "Value"]
+"""An activation of a value, with a name for its layers."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,10 @@ class Value:
     def moved(self, how: Callable[[np.ndarray], np.ndarray]) -> "Value":
         """Its elements in other places: what `how` does to an array of this shape."""
         return self.rows(how(np.arange(self.size).reshape(self.shape)))
+
+    def late(self, delay: int) -> "Value":
+        """What it was so many steps before."""
+        return Value(self.shape, self.bias, {(s, d + delay): w for (s, d), w in self.weights.items()})
 
     def times(self, factor: np.ndarray | float) -> "Value":
         """Element by element, with NumPy's broadcasting."""
@@ -143,6 +149,11 @@ def joined(values: Sequence[Value], axis: int) -> Value:
     return whole.rows(places)
 
 
+def stacked(values: Sequence[Value], axis: int) -> Value:
+    """As np.stack."""
+    return joined([v.moved(lambda i: np.expand_dims(i, axis)) for v in values], axis)
+
+
 class Builder:
     """A network under construction.
 
@@ -165,6 +176,12 @@ class Builder:
             names = ", ".join(p.name for p in ports)
             raise InputError(f"inputs {names}: {whole.size} numbers, the model takes {list(shape)}; name one port each")
         return whole.moved(lambda x: x.reshape(tuple(shape)))
+
+    def window(self, ports: Sequence[Port], shape: Sequence[int], axis: int) -> Value:
+        """The last samples of the ports along that axis of an input tensor, the one of this step at its end."""
+        rest = [n for k, n in enumerate(shape) if k != axis]
+        now = self.input(ports, rest)
+        return stacked([now.late(delay) for delay in reversed(range(shape[axis]))], axis)
 
     def state(self, hint: str, initial: np.ndarray) -> tuple[str, Value]:
         """(its name, what it was one step before); `keep` says what it becomes."""
@@ -283,40 +300,69 @@ class Builder:
 
     # -- recurrent cells ---------------------------------------------------------------------------------------------
 
-    def rnn(self, x: Value, h: Value, w: Sequence[np.ndarray], activation: str, hint: str) -> Value:
-        """h = f(W_x x + b_x + W_h h + b_h). w: W_x, W_h, b_x, b_h."""
-        total = x.linear(w[0]).plus(h.linear(w[1])).plus(constant(w[2] + w[3]))
-        return self.rectified(total, 0.0, hint) if activation == "relu" else self.activated(total, activation, hint)
+    def rnn(self, x: Value, h: Value, w: Sequence[np.ndarray], act: Activate, hint: str) -> Value:
+        """h = act(W_x x + b_x + W_h h + b_h). w: W_x, W_h, b_x, b_h."""
+        return act(x.linear(w[0]).plus(h.linear(w[1])).plus(constant(w[2] + w[3])), hint)
 
-    def gru(self, x: Value, h: Value, w: Sequence[np.ndarray], hint: str, after: bool = True) -> Value:
-        """Gates r, z, n in this order, as torch has them. after: the reset gate acts behind the product with W_h."""
+    def gru(
+        self,
+        x: Value,
+        h: Value,
+        w: Sequence[np.ndarray],
+        hint: str,
+        after: bool = True,
+        acts: Sequence[Activate] = (),
+    ) -> Value:
+        """Gates r, z, n in this order, as torch has them. after: the reset gate acts behind the product with W_h.
+
+        acts: of the gates and of n; sigmoid and tanh if not given.
+        """
+        gate, inner_act = acts or (self.act("logsig"), self.act("tansig"))
         n = h.shape[-1]
         of_x, of_h = x.linear(w[0]).plus(constant(w[2])), h.linear(w[1]).plus(constant(w[3]))
 
-        r, z = (
-            self.activated(_part(of_x, k, n).plus(_part(of_h, k, n)), "logsig", f"{hint}_{g}")
-            for k, g in ((0, "r"), (1, "z"))
-        )
+        r, z = (gate(_part(of_x, k, n).plus(_part(of_h, k, n)), f"{hint}_{g}") for k, g in ((0, "r"), (1, "z")))
         if after:
             inner = self.product(r, _part(of_h, 2, n), f"{hint}_reset")
         else:
             reset = self.product(r, h, f"{hint}_reset")
             inner = reset.linear(w[1][2 * n :]).plus(constant(w[3][2 * n :]))
-        new = self.activated(_part(of_x, 2, n).plus(inner), "tansig", f"{hint}_n")
+        new = inner_act(_part(of_x, 2, n).plus(inner), f"{hint}_n")
         return new.plus(self.product(z, h.plus(new.times(-1.0)), f"{hint}_update"))
 
-    def lstm(self, x: Value, h: Value, c: Value, w: Sequence[np.ndarray], hint: str) -> tuple[Value, Value]:
-        """(h, c); gates i, f, g, o in this order, as torch has them."""
+    def lstm(
+        self,
+        x: Value,
+        h: Value,
+        c: Value,
+        w: Sequence[np.ndarray],
+        hint: str,
+        acts: Sequence[Activate] = (),
+        peep: Sequence[np.ndarray] | None = None,
+        coupled: bool = False,
+    ) -> tuple[Value, Value]:
+        """(h, c); gates i, f, g, o in this order, as torch has them.
+
+        acts: of the gates, of g and of c; sigmoid, tanh and tanh if not given. peep: weights of c in i, o and f.
+        coupled: f is 1 - i.
+        """
+        gate, entering, leaving = acts or (self.act("logsig"), self.act("tansig"), self.act("tansig"))
         n = c.shape[-1]
         total = x.linear(w[0]).plus(h.linear(w[1])).plus(constant(w[2] + w[3]))
-        gates = {}
-        for k, (gate, kind) in enumerate((("i", "logsig"), ("f", "logsig"), ("g", "tansig"), ("o", "logsig"))):
-            part = _part(total, k, n)
-            gates[gate] = self.activated(part, kind, f"{hint}_{gate}")
-        kept = self.product(gates["f"], c, f"{hint}_kept")
-        cell = kept.plus(self.product(gates["i"], gates["g"], f"{hint}_added"))
-        shown = self.activated(cell, "tansig", f"{hint}_tanh")
-        return self.product(gates["o"], shown, f"{hint}_shown"), cell
+        of_i, of_f, of_g, of_o = (_part(total, k, n) for k in range(4))
+        seen = [constant(np.zeros(n))] * 2 if peep is None else [c.times(peep[k]) for k in (0, 2)]
+        i = gate(of_i.plus(seen[0]), f"{hint}_i")
+        f = i.times(-1.0).plus(constant(1.0)) if coupled else gate(of_f.plus(seen[1]), f"{hint}_f")
+        kept = self.product(f, c, f"{hint}_kept")
+        cell = kept.plus(self.product(i, entering(of_g, f"{hint}_g"), f"{hint}_added"))
+        o = gate(of_o if peep is None else of_o.plus(cell.times(peep[1])), f"{hint}_o")
+        return self.product(o, leaving(cell, f"{hint}_tanh"), f"{hint}_shown"), cell
+
+    def act(self, kind: str) -> Activate:
+        """The activation of that name, or relu."""
+        if kind == "relu":
+            return lambda x, hint: self.rectified(x, 0.0, hint)
+        return lambda x, hint: self.activated(x, kind, hint)
 
     # -- the end -----------------------------------------------------------------------------------------------------
 

@@ -178,8 +178,7 @@ class _Layout:
         total = constant(np.zeros(self._size(k)))
         for n, delay in enumerate(delays):
             part = matrix[:, n * value.size : (n + 1) * value.size]
-            late = Value(value.shape, value.bias, {(s, d + delay): w for (s, d), w in value.weights.items()})
-            total = total.plus(late.linear(part))
+            total = total.plus(value.late(delay).linear(part))
         return total
 
     # -- processing: y = (x - xoffset) * gain + ymin -----------------------------------------------------------------

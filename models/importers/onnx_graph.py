@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from math import prod
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from greygate.models.importers import onnx_space
 from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken, titled
 from greygate.models.importers.curves import CURVES
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, STANDARD, array, first, ports_of, read, shape
+from greygate.models.importers.onnx_recurrent import GATES, recurrent, scan
 from greygate.models.importers.onnx_reference import (
     AFFINE,
     BILINEAR,
@@ -31,9 +33,14 @@ from greygate.models.importers.onnx_reference import (
     samples_of,
 )
 from greygate.models.importers.qonnx import QUANTIZERS, Declaring, Quantized
+from greygate.models.layer import LONGEST_DELAY
 from greygate.models.network import Network, Port
+from greygate.progress import once
 
 Kind = TypeVar("Kind", bound=Builder)
+ALONG = {"Conv", "AveragePool", "MaxPool", "GlobalAveragePool", "GlobalMaxPool"}
+STAYING = {"Add", "BatchNormalization", "Cast", "Div", "Identity", "Mul", "Pad", "Relu", "Sub", "Tanh"}  # of axes
+SEQUENCE = 3  # axes of what these take along time: batch, channels, time
 PORTS = 4096  # numbers of an input, an output or a state in one step
 NUMBERS = 8 * ELEMENTS  # weights that all results together may have, each of every signal that it is a sum of
 
@@ -71,10 +78,51 @@ def imported(
     initial: Mapping[str, np.ndarray] | None = None,
     name: str | None = None,
 ) -> Imported:
-    """As `from_onnx`: the network, and what of the model it stands for."""
+    """As `from_onnx`: the network, and what of the model it stands for.
+
+    A fixed number of samples is a batch or, where the model mixes them, a window: that of this step and those before.
+    """
     model = read(Path(path))
-    kind = Declaring if _quantizes(model) else Builder
-    return _built(model, path, kind, inputs, outputs, state, initial, name)[1]
+    if _quantizes(model):
+        return _built(model, path, Declaring, inputs, outputs, state, initial, name)[1]
+    windows = {} if state else _windows(model, path)
+    try:
+        if not any(_along_time(model, n) for n in windows):
+            return _built(model, path, Builder, inputs, outputs, state, initial, name)[1]
+    except InputError:
+        if not windows:
+            raise
+    made = _built(model, path, Builder, inputs, outputs, state, initial, name, windows)[1]
+    for n, axis in windows.items():
+        once(f"{path}: input {shown(n)} is a window along its axis {axis}: the sample of this step and those before")
+    return made
+
+
+def _windows(model: Any, path: Path | str) -> dict[str, int]:
+    """Input -> the one axis along which it holds samples; of what goes into a convolution along time, that of time."""
+    fixed, found = {t.name for t in model.graph.initializer}, {}
+    for tensor in model.graph.input:
+        if tensor.name in fixed:
+            continue
+        axes = shape(tensor, path, True)
+        through = len(axes) == SEQUENCE and axes[1] != 1 and _along_time(model, tensor.name)
+        held = [2] if through else samples_of(axes)
+        chosen = [k for k in held if isinstance(axes[k], int) and 1 < axes[k] <= LONGEST_DELAY]
+        if len(chosen) == 1:
+            found[tensor.name] = chosen[0]
+    return found
+
+
+def _along_time(model: Any, name: str) -> bool:
+    """Whether a tensor (batch, channels, time) goes into a convolution or a pool as it is, but for its numbers."""
+    same = {name}
+    for node in model.graph.node:
+        if same.isdisjoint(node.input):
+            continue
+        if node.op_type in ALONG:
+            return True
+        same.update(node.output if node.op_type in STAYING else ())
+    return False
 
 
 def from_qonnx(
@@ -109,8 +157,12 @@ def _built(
     state: Mapping[str, str] | None,
     initial: Mapping[str, np.ndarray] | None,
     name: str | None,
+    windows: Mapping[str, int] = MappingProxyType({}),
 ) -> tuple[Kind, Imported]:
-    """The builder of a model's network, and the network, which answers as the model."""
+    """The builder of a model's network, and the network, which answers as the model.
+
+    windows: input -> its axis along which it holds the last samples.
+    """
     graph, state = model.graph, dict(state or {})
     fixed = {t.name: array(t) for t in graph.initializer}
     entered = [i for i in graph.input if i.name not in fixed]
@@ -127,26 +179,35 @@ def _built(
         for t in tensors
     }
     free = [n for n in names[0] if n not in state], [n for n in names[1] if n not in state.values()] or names[1]
-    shapes = {n: [1 if k in samples_of(a) else m for k, m in enumerate(lengths(a, {}))] for n, a in axes.items()} | {
-        n: lengths(axes[n], {}) for n in state
+    whole = {*names[1], *windows} if windows else {*state}
+    shapes = {
+        n: [1 if k in samples_of(a) and n not in whole else m for k, m in enumerate(lengths(a, {}))]
+        for n, a in axes.items()
     }
     if large := next((n for n, lengths_of in shapes.items() if prod(lengths_of) > PORTS), None):
         raise InputError(f"{path}: {large} has {prod(shapes[large])} numbers; a network has at most {PORTS} a step")
     starts = _starts(initial or {}, {n: tuple(shapes[n]) for n in state}, path)
     ports = [
-        list(given) if given is not None else [p for n in tensors for p in ports_of(n, shapes[n])]
+        list(given)
+        if given is not None
+        else [p for n in tensors for p in ports_of(n, [m for k, m in enumerate(shapes[n]) if k != windows.get(n)])]
         for given, tensors in zip((inputs, outputs), free, strict=True)
     ]
     builder = kind(name or titled(path), *ports)
-    samples = next((f"{shown(n)} is {axes[n]}" for n in free[0] if samples_of(axes[n])), "")
-    walk = _Walk(builder, str(path), Reference(model.opset_import), samples)
+    samples = "" if windows else next((f"{shown(n)} is {axes[n]}" for n in free[0] if samples_of(axes[n])), "")
+    walk = _Walk(builder, str(path), Reference(model.opset_import), samples, bool(windows))
     values: dict[str, Value | np.ndarray] = dict(fixed)
     left = list(builder.inputs)
     tensors: tuple[list[Tensor], list[Tensor]] = ([], [])
     for n in free[0]:
-        taken_ports = first(left, int(np.prod(shapes[n])), f"{path}: input {n}")
-        tensors[0].append(Tensor(n, axes[n], taken_ports))
-        values[n] = builder.input(taken_ports, shapes[n])
+        axis = windows.get(n)
+        count = prod(m for k, m in enumerate(shapes[n]) if k != axis)
+        taken_ports = first(left, count, f"{path}: input {n}")
+        tensors[0].append(Tensor(n, axes[n], taken_ports, axis))
+        if axis is None:
+            values[n] = builder.input(taken_ports, shapes[n])
+        else:
+            values[n] = builder.window(taken_ports, shapes[n], axis)
     if left:
         raise InputError(f"{path}: port {left[0].name} is one too many; the model takes fewer numbers")
     kept = {}
@@ -161,7 +222,7 @@ def _built(
         raise InputError(f"{path}: output {empty[0]} has no numbers; leave it out")
     found = [p for n in free[1] for p in ports_of(n, results[n].shape)]
     if outputs is None and len(found) != len(left) and len(found) <= PORTS:  # skl2onnx declares one number for several
-        return _built(model, path, kind, inputs, found, state, initial, name)
+        return _built(model, path, kind, inputs, found, state, initial, name, windows)
     for n in free[1]:
         tensors[1].append(Tensor(n, axes[n], first(left, results[n].size, f"{path}: output {n}")))
         builder.output(tensors[1][-1].ports, results[n])
@@ -197,10 +258,12 @@ class _Walk:
 
     A value is an array as long as nothing that is entered decides it, in its own type; else a `Value`.
     constants, changing: as `onnx_reference.Imported` has them. samples: an input that may hold several, in words.
+    windows: an input holds the last samples, so a state begins anew in every step.
     """
 
-    def __init__(self, builder: Builder, where: str, reference: Reference, samples: str = ""):
-        self.builder, self.where, self.reference, self.samples = builder, where, reference, samples
+    def __init__(self, builder: Builder, where: str, reference: Reference, samples: str = "", windows: bool = False):
+        self.builder, self.where, self.reference = builder, where, reference
+        self.samples, self.windows = samples, windows
         self.constants: dict[str, np.ndarray] = {}
         self.changing: list[Any] = []
         self.node: Any = None
@@ -504,86 +567,6 @@ def _expanded(walk: _Walk, x: Value, shape: Value) -> Value:
     return x.moved(lambda i: np.broadcast_to(i, wide))
 
 
-def _recurrent(kind: str, gates: int, order: Sequence[int]) -> Callable:
-    """RNN, GRU or LSTM of one direction. order: of torch's gates among those of ONNX."""
-
-    def run(
-        walk: _Walk, x: Value, w: Value, r: Value, b: Value | None = None, *rest: Value | None, **options: Any
-    ) -> list[Value]:
-        if options.get("direction", "forward") != "forward":
-            raise walk.refused(f"direction {options['direction']}: a step would need what comes later")
-        if told := [
-            k for k in ("clip", "input_forget", "layout", "activation_alpha", "activation_beta") if options.get(k)
-        ]:
-            raise walk.refused(f"{told[0]} is not carried; export the model without it")
-        if rest and rest[0] is not None:
-            raise walk.refused("sequence_lens is not carried: a step is one sample of one sequence; leave it out")
-        if kind == "lstm" and len(rest) > 3 and rest[3] is not None:
-            raise walk.refused("peepholes (P) are not carried; export the model without them")
-        if x.shape[:2] != (1, 1):
-            raise walk.refused(f"takes {list(x.shape)}: export the model with one step and a batch of 1")
-        n = r.shape[-1]
-        names = [f.lower() for f in options.get("activations", [])]
-        usual = {"rnn": ["tanh"], "gru": ["sigmoid", "tanh"], "lstm": ["sigmoid", "tanh", "tanh"]}[kind]
-        if names and names != usual and not (kind == "rnn" and names == ["relu"]):
-            raise walk.refused(f"activations {', '.join(names)}; {', '.join(usual)} are carried")
-        matrices = [walk.fixed(v, "a weight")[0] for v in (w, r)]
-        both = walk.fixed(b, "a bias")[0] if b is not None else np.zeros(2 * gates * n)
-        parts = [*matrices, both[: gates * n], both[gates * n :]]
-        weights = [np.concatenate([p[g * n : (g + 1) * n] for g in order]) for p in parts]
-        count = 2 if kind == "lstm" else 1
-        starts = [rest[1 + j] if len(rest) > 1 + j else None for j in range(count)]
-        step, states, names_kept = x.moved(np.ravel), [], []
-        for j, start in enumerate(starts):
-            flat = constant(np.zeros(n)) if start is None else start.moved(np.ravel)
-            if (first := flat.constant) is None:
-                states.append(flat)
-            else:
-                kept, past = walk.builder.state(f"{walk.hint}_{'hc'[j]}", first)
-                names_kept.append(kept)
-                states.append(past)
-        if kind == "lstm":
-            after = [*walk.builder.lstm(step, states[0], states[1], weights, walk.hint)]
-        elif kind == "gru":
-            late = bool(options.get("linear_before_reset", 0))
-            after = [walk.builder.gru(step, states[0], weights, walk.hint, after=late)]
-        else:
-            f = "relu" if names == ["relu"] else "tansig"
-            after = [walk.builder.rnn(step, states[0], weights, f, walk.hint)]
-        for kept, value in zip(names_kept, after, strict=False):
-            walk.builder.keep(kept, value)
-        ends = [v.moved(lambda i: i.reshape(1, 1, n)) for v in after]
-        return [after[0].moved(lambda i: i.reshape(1, 1, 1, n)), *ends]
-
-    return run
-
-
-def _scan(walk: _Walk, *given: Value, body: Any, num_scan_inputs: int, **options: Any) -> list[Value]:
-    """One pass of the body; what it starts from and hands on is a state."""
-    if any(options.get("scan_input_directions") or []) or any(options.get("scan_output_directions") or []):
-        raise walk.refused("it runs backwards, so a step needs what comes later")
-    if any(options.get("scan_input_axes") or []) or any(options.get("scan_output_axes") or []):
-        raise walk.refused("the steps are not its first axis")
-    count = len(given) - num_scan_inputs
-    values = {**walk.scope, **{t.name: array(t) for t in body.initializer}}
-    kept = []
-    for inner, start in zip(body.input[:count], given[:count], strict=True):
-        first = walk.fixed(start, "the initial state")
-        name, values[inner.name] = walk.builder.state(f"{walk.hint}_{inner.name}", first)
-        kept.append(name)
-    for inner, sequence in zip(body.input[count:], given[count:], strict=True):
-        if sequence.shape[0] != 1:
-            raise walk.refused(f"{sequence.shape[0]} steps: export the model with one")
-        values[inner.name] = sequence.moved(lambda i: i[0])
-    node = walk.node
-    walk.run(body, values)
-    walk.node = node
-    found = [signal(values[o.name]) for o in body.output]
-    for name, value in zip(kept, found, strict=False):
-        walk.builder.keep(name, value)
-    return [*found[:count], *(v.moved(lambda i: i[None]) for v in found[count:])]
-
-
 def _cast(walk: _Walk, x: Value, to: int, **_: Any) -> Value:
     """A signal to another kind of number: only between floats that are exact here."""
     from onnx import TensorProto
@@ -680,10 +663,8 @@ FUNCTIONS: dict[str, Callable] = {
     "ReduceSum": _reduced(Value.summed),
     "ReduceMean": _reduced(Value.mean),
     "BatchNormalization": _normed,
-    "RNN": _recurrent("rnn", 1, [0]),
-    "GRU": _recurrent("gru", 3, [1, 0, 2]),
-    "LSTM": _recurrent("lstm", 4, [0, 2, 3, 1]),
-    "Scan": _scan,
+    **{kind: recurrent(kind) for kind in GATES},
+    "Scan": scan,
     "Cast": _cast,
     "Dropout": _dropout,
     "Identity": lambda walk, x: x,

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
 from functools import cache
 from math import ceil, prod
 from typing import Any, NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 
 from greygate.errors import InputError, one_line, shown
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, messages
+from greygate.models.importers.onnx_recurrent import GATES, Options, computed
 from greygate.models.importers.qonnx import limited
 from greygate.models.network import Network
 
@@ -139,17 +141,16 @@ class Reference:
 
 @cache
 def _mended() -> list[type]:
-    """Operators with what the reference lacks: RNN with Relu, and Softsign of a tensor without axes."""
+    """Operators with what the reference lacks: options of RNN, GRU and LSTM, and Softsign of a tensor without axes."""
     from onnx.reference.op_run import OpRun
-    from onnx.reference.ops.op_rnn import RNN_14
 
-    class RNN(RNN_14):
+    class Recurrent(OpRun):
         op_domain = ""
 
-        def choose_act(self, name: str, alpha: Any, beta: Any) -> Callable:
-            if name.lower() == "relu":
-                return lambda x: np.maximum(x, 0)
-            return super().choose_act(name.capitalize(), alpha, beta)
+        def _run(self, *given: Any, **_: Any) -> tuple[np.ndarray, ...]:
+            told = {f.name: getattr(self, f.name, None) for f in fields(Options)}
+            found = computed(type(self).__name__, Options(**{n: v for n, v in told.items() if v}), *given)
+            return tuple(found[: max(len(self.onnx_node.output), 1)])
 
     class Softsign(OpRun):
         op_domain = ""
@@ -157,7 +158,7 @@ def _mended() -> list[type]:
         def _run(self, x: np.ndarray) -> tuple[np.ndarray]:
             return (np.asarray(x / (1 + np.abs(x))),)
 
-    return [RNN, Softsign]
+    return [*(type(kind, (Recurrent,), {}) for kind in GATES), Softsign]
 
 
 def _doubled(node: Any) -> Any:
@@ -199,11 +200,28 @@ def captured(node: Any) -> list[str]:
 
 
 class Tensor(NamedTuple):
-    """An input or output of a model: its axes (a name where the length is free) and its ports."""
+    """An input or output of a model: its axes (a name where the length is free) and its ports.
+
+    window: the axis along which it holds the last samples, if it does.
+    """
 
     name: str
     axes: Sequence[int | str]
     ports: Sequence[Any]
+    window: int | None = None
+
+    @property
+    def length(self) -> int:
+        """Samples of its window; 1 without one."""
+        return 1 if self.window is None else int(self.axes[self.window])
+
+    def samples(self, rows: np.ndarray) -> np.ndarray:
+        """What it is at the last of the rows (samples, numbers)."""
+        shape = lengths(self.axes, {})
+        if self.window is None:
+            return np.resize(rows[-1], shape)
+        rest = [n for k, n in enumerate(shape) if k != self.window]
+        return np.moveaxis(rows[-self.length :].reshape(self.length, *rest), 0, self.window)
 
 
 class Imported(NamedTuple):
@@ -246,6 +264,8 @@ def check(made: Imported, where: str) -> None:
     Along such an axis every sample must be answered by itself (a batch) or as the network goes on from step to step (a
     sequence); what mixes samples otherwise is no step of a network. Raises InputError, which says where they differ.
     """
+    if any(t.window is not None for t in made.inputs):
+        return _check_windows(made, where)
     every = [t.axes for t in made.inputs] + [axes for _, axes, _ in made.states.values()]
     free = dict.fromkeys(n for axes in every for n in named(axes) if isinstance(n, str))
     windows = [(t, k, n) for t in made.inputs for k in samples_of(t.axes) if isinstance(n := t.axes[k], int)]
@@ -266,6 +286,41 @@ def check(made: Imported, where: str) -> None:
                 f"{where}: along {shown(axis_name)}, an axis whose length is free, the model mixes samples ({off}); "
                 f"{advice}"
             )
+
+
+def _check_windows(made: Imported, where: str) -> None:
+    """As `check`, of a network that makes a window of the last samples: over several steps, and in a batch of them."""
+    reference = Reference(made.opsets, CHECKED, double=True)
+    rng, last = np.random.default_rng(0), max(t.length for t in made.inputs)
+    steps = last + SAMPLES - 1
+    sizes = np.resize(SPREAD, steps)[:, None]
+    rows = {t.name: sizes * rng.normal(size=(steps, sum(p.size for p in t.ports))) for t in made.inputs}
+    got = {n: v[last - 1 :] for n, v in _stepped(made, rows, steps, True).items()}
+    fed = [{t.name: t.samples(rows[t.name][: k + 1]) for t in made.inputs} for k in range(last - 1, steps)]
+    for k, feeds in enumerate(fed):
+        if off := _unlike(made, feeds, {n: v[k : k + 1] for n, v in got.items()}, reference):
+            raise InputError(
+                f"{where}: the network made of it does not answer as the model ({off}); please report this"
+            )
+    for name in dict.fromkeys(n for t in made.inputs for n in named(t.axes) if isinstance(n, str)):
+        along = {t.name: named(t.axes).index(name) for t in made.inputs if name in named(t.axes)}
+        feeds = {n: np.concatenate([f[n] for f in fed], along[n]) if n in along else v for n, v in fed[-1].items()}
+        if off := _unlike(made, feeds, got, reference):
+            raise InputError(
+                f"{where}: along {shown(name)}, an axis whose length is free, the model mixes samples ({off}); "
+                "export the model with that axis 1"
+            )
+
+
+def _unlike(
+    made: Imported, feeds: Mapping[str, np.ndarray], got: Mapping[str, np.ndarray], reference: Reference
+) -> str | None:
+    """What differs from the model's answer, in words. got: output -> a row for each sample."""
+    try:
+        wanted = answer(made, feeds, reference)
+    except Exception as error:  # of shapes that do not fit, in many ways
+        return f"ONNX's reference does not run it: {one_line(' '.join(str(error).split()))[:100]}"
+    return next(filter(None, (_off(n, value, wanted[n], False) for n, value in got.items())), None)
 
 
 def _differences(made: Imported, free: Mapping[str, int], reference: Reference) -> str | None:
@@ -346,7 +401,8 @@ def _stepped(made: Imported, rows: Mapping[str, np.ndarray], count: int, on: boo
                 column = column[:, None] if each else column
                 columns[p.name], at = column[..., 0] if p.size == 1 else column, at + p.size
         start = {layer: rows[n][run[0]] for n, (layer, _, _) in made.states.items()}
-        found = made.network.run(columns, initial=start, trace=True)
+        with np.errstate(all="ignore"):
+            found = made.network.run(columns, initial=start, trace=True)
         for tensor in made.outputs:
             signals = [found[p.name].reshape(len(run), p.size) for p in tensor.ports]
             parts.setdefault(tensor.name, []).append(np.concatenate(signals, 1))

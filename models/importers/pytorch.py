@@ -27,7 +27,7 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.models.importers import curves
-from greygate.models.importers.builder import Builder, Value, constant, joined, taken
+from greygate.models.importers.builder import Builder, Value, constant, stacked, taken
 from greygate.models.network import Network, Port
 from greygate.progress import once
 
@@ -789,14 +789,10 @@ def _layers(kind: str, count: int) -> Callable:
                 walk.builder.keep(name, value)
             for end, value in zip(ends, after, strict=True):
                 end.append(value)
-        out = _stacked(steps)
-        return [out.moved(lambda i: np.swapaxes(i, 0, 1)) if batch_first else out, *(_stacked(end) for end in ends)]
+        out = stacked(steps, 0)
+        return [out.moved(lambda i: np.swapaxes(i, 0, 1)) if batch_first else out, *(stacked(end, 0) for end in ends)]
 
     return run
-
-
-def _stacked(values: Sequence[Value]) -> Value:
-    return joined([v.moved(lambda i: i[None]) for v in values], 0)
 
 
 def _cells(kind: str) -> Callable:
@@ -817,7 +813,8 @@ def _cell(walk: _Walk, kind: str, x: Value, states: list[Value], w: list[np.ndar
         return [*walk.builder.lstm(x, states[0], states[1], w, hint)]
     if kind == "gru":
         return [walk.builder.gru(x, states[0], w, hint)]
-    return [walk.builder.rnn(x, states[0], w, {"rnn_tanh": "tansig", "rnn_relu": "relu"}[kind], hint)]
+    act = walk.builder.act({"rnn_tanh": "tansig", "rnn_relu": "relu"}[kind])
+    return [walk.builder.rnn(x, states[0], w, act, hint)]
 
 
 AFFINE = {
