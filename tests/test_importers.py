@@ -151,9 +151,102 @@ UNSUPPORTED = {
     "pow": lambda y: torch.abs(y) ** 0.5,
     "sort": lambda y: torch.sort(y)[0],
     "cumprod": lambda y: torch.cumprod(y, 0),
-    "matmul": lambda y: y[:2] @ y[2:],
     "logsumexp": lambda y: torch.logsumexp(y, 0),
 }
+
+
+def test_an_operation_in_a_module_of_torch_is_named_with_that_module():
+    with pytest.raises(InputError, match=r"operation softmax in 1 \(Softmax\): a network carries"):
+        from_torch(nn.Sequential(nn.Linear(1, 2), nn.Softmax(-1)), ["a"], ["y", "z"])
+
+
+class Batched(nn.Module):
+    """A recurrent layer as it is written for batches. zeros: it makes its first state itself."""
+
+    def __init__(self, kind, first, zeros=False, last=False, **options):
+        super().__init__()
+        self.recurrent, self.out = kind(2, 3, batch_first=first, **options), nn.Linear(options.get("proj_size", 3), 1)
+        self.first, self.zeros, self.last = first, zeros, last
+
+    def forward(self, x):
+        h = torch.zeros(self.recurrent.num_layers, x.size(0 if self.first else 1), 3, dtype=x.dtype).to(x.device)
+        given = () if not self.zeros else ((h, h.clone()),) if isinstance(self.recurrent, nn.LSTM) else (h,)
+        y, _ = self.recurrent(x, *given)
+        return self.out((y[:, -1, :] if self.first else y[-1]) if self.last else y)
+
+
+BATCHED = {
+    f"{kind.__name__} {first} {zeros} {last}": (kind, first, zeros, last, {})
+    for kind in (nn.RNN, nn.GRU, nn.LSTM)
+    for first, zeros, last in ((True, True, True), (True, False, True), (False, True, False), (True, True, False))
+} | {
+    "projected": (nn.LSTM, True, False, True, {"proj_size": 2}),
+    "two layers": (nn.GRU, True, True, True, {"num_layers": 2, "dropout": 0.3}),
+}
+
+
+@pytest.mark.parametrize("name", BATCHED)
+def test_a_recurrent_layer_written_for_batches_goes_on_from_step_to_step(name):
+    kind, first, zeros, last, options = BATCHED[name]
+    torch.manual_seed(2)
+    module = Batched(kind, first, zeros, last, **options).double().eval()
+    x = signal(20, 2)
+    network = from_torch(module, ["a", "b"], ["y"])
+    whole = torch.tensor(x)[None] if first else torch.tensor(x)[:, None]
+    wanted = module(whole).detach().numpy().ravel()
+    got = free_run(network, x)[:, 0]
+    assert np.abs(got[-len(wanted) :] - wanted).max() < 1e-12
+
+
+class Stepped(nn.Module):
+    """States with an axis of the batch, of an LSTM as a pair."""
+
+    def __init__(self):
+        super().__init__()
+        self.recurrent = nn.LSTM(2, 3, batch_first=True)
+
+    def forward(self, x, hc):
+        y, hc = self.recurrent(x, hc)
+        return torch.cat([y[:, -1], x[:, -1, 0:1]], 1), hc
+
+
+class Columns(nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.cell, self.norm = nn.GRUCell(2, 3), nn.BatchNorm1d(3)
+
+    def forward(self, x, h):
+        h = self.cell(torch.cat([x[:, 1:2], x[:, 0:1]], dim=1), h)
+        return torch.cat([self.norm(h), x[:, [1]]], 1), h
+
+
+@pytest.mark.parametrize(("module", "starts"), [(Stepped(), [(1, 1, 3)] * 2), (Columns(), [(1, 3)])])
+def test_the_states_of_a_batch_of_one_are_given_without_its_axis(module, starts):
+    x, module = signal(20, 2), module.double().eval()
+    network = from_torch(module, ["a", "b"], ["y1", "y2", "y3", "u"], [np.zeros(3) for _ in starts])
+    states, rows = [torch.zeros(s, dtype=torch.float64) for s in starts], []
+    for row in torch.tensor(x):
+        y, states = module(row[None, None], tuple(states)) if len(states) > 1 else module(row[None], states[0])
+        states = states if isinstance(states, tuple) else [states]
+        rows.append(y.detach().numpy().ravel())
+    assert np.abs(free_run(network, x) - rows).max() < 1e-12
+
+
+PRODUCTS = {
+    "matmul": lambda y: (y[:2] @ y[2:])[None],
+    "outer": lambda y: torch.outer(y[:2], torch.tanh(y[2:])).flatten(),
+    "einsum": lambda y: torch.einsum("i,ijk,k->j", y, torch.arange(32.0, dtype=y.dtype).reshape(4, 2, 4) / 9, y),
+    "bilinear": lambda y: nn.functional.bilinear(y[:2], y[1:3], torch.ones(3, 2, 2, dtype=y.dtype), y[:3]),
+}
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_a_product_of_two_signals_within_an_operation_is_a_sum_of_products(name):
+    module = Refused(PRODUCTS[name]).double()
+    x = signal(STEPS, 3)
+    wanted = np.array([module(torch.tensor(row)).detach().numpy().ravel() for row in x])
+    network = from_torch(module, ["a", "b", "c"], [f"y{k}" for k in range(wanted.shape[1])])
+    assert np.abs(free_run(network, x) - wanted).max() < 1e-12
 
 
 @pytest.mark.parametrize("name", UNSUPPORTED)

@@ -151,7 +151,7 @@ WRONG = {  # the arguments of from_torch -> what is said
     "a state of words": ((On(step), ["u"], ["y"], ["h"]), "state 1: 'h' is no array"),
     "a state of NaN": ((On(step), ["u"], ["y"], [[np.nan]]), "not finite"),
     "a state of another size": (
-        (On(lambda s, x, h: (x, h)), ["u", "v"], ["y", "z"], [[0.0], [1.0]]),
+        (On(lambda s, x, h: (x, h * 1.0)), ["u", "v"], ["y", "z"], [[0.0], [1.0]]),
         "arguments but 4",
     ),
     "a state that shrinks": ((On(lambda s, x, h: (x, h[:1])), ["u"], ["y"], [[0.0, 1.0]]), "2 elements become 1"),

@@ -278,6 +278,20 @@ class Builder:
         one, two = parts
         return one.times(0.25).plus(two.times(-0.25)).moved(lambda x: x.reshape(total.shape))
 
+    def bilinear(self, a: Value, of: Callable[[np.ndarray], Value], hint: str) -> Value:
+        """What is linear in a signal and in another: of(e) is the result where the first is a unit vector e."""
+        total: Value | None = None
+        for k, unit in enumerate(np.eye(a.size)):
+            part = of(unit)
+            read = np.any([np.any(w, 1) for w in (part.bias[:, None], *part.weights.values())], 0)
+            at = np.flatnonzero(read)
+            product = self.product(a.rows(np.full(len(at), k)), part.moved(np.ravel).rows(at), hint)
+            places = np.zeros(part.size, int)
+            places[at] = 1 + np.arange(len(at))
+            wide = joined([constant(np.zeros(1)), product], 0).rows(places.reshape(part.shape))
+            total = wide if total is None else total.plus(wide)
+        return constant(0.0) if total is None else total
+
     def power(self, value: Value, exponent: float, hint: str = "power") -> Value:
         """Raised to 0, 1, 2, 3 or 4. Raises InputError for another exponent."""
         if exponent not in (0, 1, 2, 3, 4):

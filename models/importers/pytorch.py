@@ -1,9 +1,9 @@
 """From a PyTorch module, by `torch.export`, and back.
 
 The module takes one step, x of shape (channels,) or else (1, channels): `forward(x) -> y`, or
-`forward(x, *states) -> (y, *states)`. A module with `nn.RNN`, `nn.GRU`
-or `nn.LSTM` inside takes a sequence (steps, channels), and its state goes on from step to step. A buffer that a step
-changes is a state, too.
+`forward(x, *states) -> (y, *states)`. A module with `nn.RNN`, `nn.GRU` or `nn.LSTM` inside takes a sequence
+(steps, channels), or a batch of one sequence, and its state goes on from step to step. A buffer that a step changes is
+a state, too.
 
 What stands in the graph is functional: no operation changes a tensor in place. An operation that is affine in the
 signals is torch's own, asked for each column of their weights; what reads no signal, torch computes. At the end the
@@ -73,7 +73,7 @@ def from_torch(
     try:
         return _imported(module, Builder(name, inputs, outputs), starts, torch.get_default_dtype())
     except InputError as error:
-        if not re.search(r"\bFloat\b|float32", str(error)):
+        if not re.search(r"(?i)\bfloat(32)?\b", str(error)):
             raise
     return _imported(module, Builder(name, inputs, outputs), starts, torch.float64)  # tensors that forward makes
 
@@ -210,21 +210,30 @@ class _Trial:
         self.kind = type(module).__name__
         self.sequence = any(type(m).__name__ in SEQUENCES for m in module.modules()) and not starts
         self.size = sum(p.size for p in builder.inputs)
-        self.x = torch.zeros((1, self.size) if self.sequence else (self.size,), dtype=torch.float64)
+        recurrent = [m for m in module.modules() if type(m).__name__ in SEQUENCES]
+        self.axis = int(bool(recurrent and recurrent[0].batch_first))  # of the steps, beside a batch of one
+        self.packed = False  # whether forward takes and gives its states as one tuple
+        self.x = torch.zeros(self.size, dtype=torch.float64)
 
     def first(self) -> None:
-        """Take one step. Raises InputError if the module does not, or returns something else than y and its states."""
+        """Take one step. Raises InputError if the module does not, or returns something else than y and its states.
+
+        It may take one sample, a batch of one or a batch of one sequence, and its states likewise.
+        """
         import torch
 
-        try:
-            found = self._called(copy.deepcopy(self.module), self.x, self.starts)
-        except InputError as error:
-            self.x = self.x[None]  # a module for batches, such as one with BatchNorm1d: a batch of one
+        errors = []
+        for form in list(self._forms()):
+            self.x, self.starts, self.packed = form
             try:
                 found = self._called(copy.deepcopy(self.module), self.x, self.starts)
-            except InputError:
-                raise error from None
-        results = _results(found)
+                break
+            except InputError as error:
+                errors.append(error)
+        else:
+            batch = f"; nor does it take a batch of one: {str(errors[1]).split(': ', 1)[1]}" if errors[1:] else ""
+            raise InputError(f"{errors[0]}{batch}")
+        results = self._results(found)
         for result in results:
             if not isinstance(result, torch.Tensor):
                 raise InputError(f"{self.kind}: forward gives {_kind(result)}; return tensors: y, or (y, *states)")
@@ -232,6 +241,24 @@ class _Trial:
             raise InputError(
                 f"forward gives {len(results)} results; give y and {len(self.starts)} states, one for each of `state`"
             )
+
+    def _forms(self) -> Iterator[tuple["torch.Tensor", list["torch.Tensor"], bool]]:
+        """(x, states, whether these are one tuple) of one step, the plainest first."""
+        samples = [(1, self.size), (1, 1, self.size)] if self.sequence else [(self.size,), (1, self.size)]
+        deeper = [] if self.sequence or not self.starts else [(1, 1, self.size)]
+        for shape in (*samples, *deeper):
+            states = self.starts
+            for _ in range(len(shape) if self.starts else 1):
+                for packed in (False, True)[: 1 + (len(states) > 1)]:
+                    yield self.x.reshape(shape), states, packed
+                states = [v[None] for v in states]
+
+    def _results(self, found: Any) -> list:
+        """y and the states that forward is given; along a sequence its last ones go on by themselves."""
+        results = _results(found)
+        if self.packed and len(results) == 2:
+            results = [results[0], *_results(results[1])]
+        return results[:1] if self.sequence else results
 
     def compare(self, network: Network) -> None:
         """Raise InputError unless the network answers to random steps as the module does, from step to step; say it."""
@@ -265,7 +292,7 @@ class _Trial:
         module, states, rows = copy.deepcopy(self.module), self.starts, []
         before: dict[str, Any] = {}
         for row in x:
-            y, *states = _results(self._called(module, _tensor(row, self.x.shape), states))
+            y, *states = self._results(self._called(module, _tensor(row, self.x.shape), states))
             rows.append(_array(y))
             before = before or _attributes(module)  # what a first step sets once may stay
         self._forgets(before, module)
@@ -278,8 +305,10 @@ class _Trial:
         """
         total, steps, rows = sum(p.size for p in self.builder.outputs), [], []
         for count in range(1, len(x) + 1):
-            module, part = copy.deepcopy(self.module), _tensor(x[:count], x[:count].shape)
-            y = _array(_results(self._called(module, part, []))[0])
+            shape = list(self.x.shape)
+            shape[self.axis if len(shape) > 2 else 0] = count
+            module, part = copy.deepcopy(self.module), _tensor(x[:count], shape)
+            y = _array(self._results(self._called(module, part, []))[0])
             if y.size not in (total, count * total):
                 raise InputError(f"{self.kind}: of {count} steps forward gives {y.size} numbers; give {total} for each")
             rows.append(y.reshape(-1, total))
@@ -292,10 +321,15 @@ class _Trial:
     def _called(self, module: "torch.nn.Module", x: "torch.Tensor", states: Sequence["torch.Tensor"]) -> Any:
         """What `forward` returns, of tensors that it may change."""
         try:
-            return module(x.clone(), *(s.clone() for s in states))
+            return module(x.clone(), *self.given(states))
         except Exception as error:  # whatever the module raises on a step
             shapes = ", ".join(str(list(v.shape)) for v in (x, *states))
             raise InputError(f"{self.kind} does not take float64 tensors of shape {shapes}: {_first(error)}") from None
+
+    def given(self, states: Sequence["torch.Tensor"]) -> tuple:
+        """The arguments of forward behind x."""
+        own = tuple(s.clone() for s in states)
+        return (own,) if self.packed else own
 
     def _forgets(self, before: Mapping[str, Any], module: "torch.nn.Module") -> None:
         """Raise InputError if a step changes what no state and no buffer is."""
@@ -367,7 +401,7 @@ class _Walk:
         self.builder, self.trial = builder, trial
         self.node: Any = None
         own = copy.deepcopy(trial.module)
-        given = (trial.x.clone(), *(s.clone() for s in trial.starts))
+        given = (trial.x.clone(), *trial.given(trial.starts))
         try:
             self.program: Any = torch.export.export(own, given, strict=False).run_decompositions({})
         except Exception as error:  # whatever cannot be traced
@@ -410,7 +444,7 @@ class _Walk:
             elif spec.kind.name == "USER_OUTPUT":
                 of_user.append(value)
         self.builder.output(self.builder.outputs, of_user[0])
-        for name, value in zip(states, of_user[1:], strict=True):
+        for name, value in zip(states, of_user[1:], strict=not self.trial.sequence):
             self.builder.keep(name, value)
 
     def _fixed(self, target: str) -> "torch.Tensor":
@@ -479,8 +513,9 @@ class _Walk:
             if any(isinstance(v, Value) for v in _leaves(named[key])):
                 raise InputError("its indices must be constant, and are computed from the inputs")
         signals = [v for v in _leaves(list(named.values())) if isinstance(v, Value)]
-        if len(signals) > 1 and target._opname in LINEAR:
-            raise InputError("two of its arguments are signals; one must be constant")
+        factors = [v for k, a in named.items() if k != "bias" for v in _leaves(a) if isinstance(v, Value)]
+        if len(factors) > 1 and target._opname in LINEAR:
+            return self._bilinear(target, named, factors)
         bias = named.get("bias")
 
         def results(part: Callable[[Value], np.ndarray], given: dict) -> list[np.ndarray]:
@@ -499,6 +534,25 @@ class _Walk:
         values = [Value(y.shape, y.ravel(), w) for y, w in zip(whole, weights, strict=True)]
         return values if str(target._schema.returns[0].type).startswith("List") else values[0]
 
+    def _bilinear(self, target: Any, named: Mapping[str, Any], signals: Sequence[Value]) -> Value:
+        """A sum of products of the elements of one signal with what the other becomes."""
+        if len(signals) > 2:
+            raise InputError("three of its arguments are signals; write products of two")
+
+        def of(unit: np.ndarray) -> Value:
+            left = [_tensor(unit, signals[0].shape)]  # the first that is met; the other stays
+
+            def put(v: Any) -> Any:
+                if isinstance(v, list | tuple):
+                    return [put(i) for i in v]
+                return left.pop() if left and v is signals[0] else v
+
+            return self.affine(target, [], {k: put(v) for k, v in named.items() if k != "bias" or v is None})
+
+        found = self.builder.bilinear(signals[0], of, self.hint())
+        bias = named.get("bias")
+        return found if bias is None else found.plus(_value(bias))
+
     def fixed(self, given: Any) -> np.ndarray:
         """An argument that must be a constant."""
         if (found := _value(given).constant) is None:
@@ -511,8 +565,13 @@ class _Walk:
 
         trace = re.findall(r'File "([^"]+)", line (\d+)[^\n]*\n\s*([^\n]*)', self.node.meta.get("stack_trace") or "")
         library = Path(torch.__file__).parent
-        own = [t for t in trace if library not in Path(t[0]).parents] or trace
+        outside = [t for t in trace if library not in Path(t[0]).parents]
+        own = outside or trace
         place = f" at {own[-1][0]}:{own[-1][1]}: {own[-1][2].strip()}" if own else ""
+        stack = [*(self.node.meta.get("nn_module_stack") or {}).values()]
+        if not outside and stack and stack[-1][0]:
+            path, kind = stack[-1]
+            place = " in " + path.removeprefix("L['self'].") + f" ({str(kind).rpartition('.')[2]})"
         return InputError(f"operation {operation}{place}: {why or CARRIED}")
 
     def hint(self) -> str:
