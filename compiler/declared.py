@@ -4,6 +4,8 @@ Nothing is chosen here: every weight is kept exactly, every sum is exact, and a 
 the 24 bits that float32 holds exactly, so a tool that computes in float32 gets the same, in whatever order it adds.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +20,10 @@ from greygate.models.arithmetic import xp
 from greygate.models.importers.builder import Value
 from greygate.models.importers.qonnx import Format, Quantized, Step
 from greygate.models.network import Port
+from greygate.progress import once
 
 FLOAT32 = 24  # bits of its significand: integers up to 2^24, and their sums, are exact
+INPUT_BITS = range(8, 17)  # of an input that no Quant reads
 DOUBT = 2.0**-21  # error that a tanh or a sigmoid in float32 may have: eight units in the last place of 1
 
 
@@ -41,17 +45,51 @@ class Sums(NamedTuple):
     reach: int
 
 
-def declared_program(quantized: Quantized, period: float = 1e-3) -> Program:
+def declared_program(
+    quantized: Quantized, period: float = 1e-3, reach: Mapping[str, float] = MappingProxyType({})
+) -> Program:
     """The program of a network with declared formats. period: s, of a step.
 
-    Raises InputError for an input without a format, for a sum that float32 does not hold, and for a tanh or a sigmoid
-    without formats around it, each with what to do.
+    reach: input -> its largest magnitude. One that no Quant reads gets a format that holds it, of the most bits with
+    which every sum is exact; a line says so. Raises InputError for an input without either, for a sum that float32 does
+    not hold, and for a tanh or a sigmoid without formats around it, each with what to do.
     """
-    return _Declared(quantized).program(period)
+    network = quantized.network
+    guessed = [p.name for p in network.inputs if p.name in reach and not _format(quantized, p.name)]
+    for width in reversed(INPUT_BITS):
+        forms = {n: _covering(reach[n], width) for n in guessed}
+        try:
+            program = _Declared(quantized, forms).program(period)
+        except InputError:
+            if not guessed or width == INPUT_BITS.start:
+                raise
+            continue
+        for n, form in forms.items():
+            once(f"input {n}: no Quant reads it; Fix({form.width}, {form.frac}) by the recording")
+        break
+    return program
+
+
+def _format(quantized: Quantized, name: str) -> Format | None:
+    """The format of the Quants that alone read an input; None where there is none, or more than one."""
+    readers = [s for s in quantized.steps if (name, 0) in s.value.weights]
+    forms = {s.format for s in readers if s.format and _picks(s.value)}
+    if len(forms) != 1 or any(s.format not in forms or not _picks(s.value) for s in readers):
+        return None
+    return forms.pop()
+
+
+def _covering(reach: float, width: int) -> Format:
+    """The finest format of that width that holds the values up to a magnitude."""
+    frac = width - 1 - int(np.ceil(np.log2(reach or 1.0)))
+    return Format(width, frac, -(1 << width - 1), (1 << width - 1) - 1, Rounding.HALF_EVEN.value)
 
 
 class _Declared:
-    def __init__(self, quantized: Quantized):
+    """given: formats of inputs that no Quant reads."""
+
+    def __init__(self, quantized: Quantized, given: Mapping[str, Format]):
+        self.quantized, self.given = quantized, given
         self.network, self.steps = quantized
         self.known: dict[str, Bounded] = {}
         self.curves: dict[str, Step] = {}  # a tanh or a sigmoid, until the Quant that reads it gives its format
@@ -68,11 +106,9 @@ class _Declared:
 
     def _input(self, port: Port) -> Terminal:
         """An input in the format of the Quant that reads it; the host rounds to the nearest code."""
-        readers = [s for s in self.steps if (port.name, 0) in s.value.weights]
-        forms = {s.format for s in readers if s.format and _picks(s.value)}
-        if len(forms) != 1 or any(s.format not in forms or not _picks(s.value) for s in readers):
+        form = _format(self.quantized, port.name) or self.given.get(port.name)
+        if form is None:
             raise InputError(f"input {port.name}: its format would be a guess; put one Quant directly behind it")
-        (form,) = forms
         if form.rounding == Rounding.TRUNCATE:
             raise InputError(f"input {port.name}: is rounded to the nearest code; give its Quant rounding_mode ROUND")
         signal = Signal(port.name, port.size, Fix(form.width, form.frac))

@@ -118,8 +118,10 @@ def compile_declared(
 
     Raises InputError as `declared_program`.
     """
-    program, flat = declared_program(quantized, period), quantized.network.flatten()
-    found = ranges(flat, [records[name] for name in ranged_on])
+    flat, ranged = quantized.network.flatten(), [records[name] for name in ranged_on]
+    found = ranges(flat, ranged)
+    reach = {p.name: max(float(np.abs(r.inputs[p.name]).max()) for r in ranged) for p in flat.inputs}
+    program = declared_program(quantized, period, reach)
     return Compiled(flat, found, program, (_summary("as declared", flat, 0.0),))
 
 

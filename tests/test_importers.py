@@ -7,12 +7,14 @@ import subprocess
 import sys
 from importlib.metadata import version
 from importlib.util import find_spec
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
 from command_line import greygate
-from imported_models import ALL, fitnet, free_run, mlp, signal, write_v5
+from exported_models import judged, made
+from imported_models import ALL, cells, fitnet, free_run, mlp, signal, write_v5
 from test_docs import BLOCKS
 from torch import nn
 
@@ -79,6 +81,19 @@ def test_the_recipe_for_keras_gives_a_network_that_answers_as_keras(tmp_path):
     assert [p.name for p in network.inputs] == ["keras_tensor_1", "keras_tensor_2"]
     assert network.outputs[0].name[0] == "n", "Keras calls it by a number"
     assert np.abs(free_run(network, x) - np.load(tmp_path / "y.npy")).max() < AGREED
+
+
+REFUSED_OF_EXPORTERS = {"Softmax", "LayerNorm", "tree"}  # ends of names of files
+
+
+@pytest.mark.nightly
+def test_models_by_the_exporters_of_other_tools_are_right_or_refused_by_name(tmp_path):
+    pytest.importorskip("keras")
+    found = {file.stem: judged(file) for file in made(tmp_path)}
+    assert len(found) >= 50
+    refused = {name for name, (verdict, _) in found.items() if verdict == "refused"}
+    assert {name.split()[-1] for name in refused} <= REFUSED_OF_EXPORTERS
+    assert {v for v, _ in found.values()} == {"right", "refused"}, found
 
 
 # -- over a recording ------------------------------------------------------------------------------------------------
@@ -407,3 +422,25 @@ def test_a_file_of_another_tool_stands_wherever_a_network_does(model, tmp_path):
     )
     assert code == 0, told
     assert Project.open(tmp_path / "build").program.name == file.stem
+
+
+PLAIN_LAYERS = {
+    "cells": lambda names: cells([names]),
+    "a matrix of characters": lambda names: np.array(names),
+}
+
+
+@pytest.mark.parametrize("written", PLAIN_LAYERS)
+def test_a_struct_of_weights_biases_and_names_of_functions_is_read(written, tmp_path):
+    from scipy.io import savemat
+
+    rng = np.random.default_rng(0)
+    sizes = (3, 5, 4, 2)
+    weights = [rng.normal(size=(m, n)) for n, m in pairwise(sizes)]
+    biases = [rng.normal(size=(n, 1)) for n in sizes[1:]]
+    names = PLAIN_LAYERS[written](["relu", "tanh", "purelin"])
+    savemat(tmp_path / "net.mat", {"W": cells([weights]), "b": cells([biases]), "act_fcns": names})
+    network, x = load(tmp_path / "net.mat"), signal(STEPS, 3)
+    h = np.tanh(weights[1] @ np.maximum(weights[0] @ x.T + biases[0], 0) + biases[1])
+    assert [p.name for p in (*network.inputs, *network.outputs)] == ["x_1", "x_2", "x_3", "y_1", "y_2"]
+    assert np.abs(free_run(network, x) - (weights[2] @ h + biases[2]).T).max() < 1e-12

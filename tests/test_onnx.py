@@ -103,6 +103,43 @@ def test_what_goes_into_a_convolution_is_a_window_along_its_last_axis(nodes, tmp
     assert len(from_onnx(saved(model, tmp_path)).inputs) == 2
 
 
+WRITTEN_OUT = {  # as exporters write what ONNX has no operator for, or had none in an old opset
+    "softsign": [("Abs", "x", "a"), ("Add", "a", "one", "d"), ("Div", "x", "d", "y")],
+    "log of a sigmoid": [("Sigmoid", "x", "s"), ("Log", "s", "y")],
+    "truth of a comparison": [("Greater", "x", "one", "t"), ("BOOL", "t", "b"), ("FLOAT", "b", "y")],
+    "truth of a number": [("Relu", "x", "r"), ("BOOL", "r", "b"), ("FLOAT", "b", "y")],
+    "equal": [("Relu", "x", "r"), ("Equal", "x", "r", "t"), ("FLOAT", "t", "y")],
+    "product": [("ReduceProd", "x", "y")],
+}
+
+
+@pytest.mark.parametrize("name", WRITTEN_OUT)
+def test_what_an_exporter_writes_out_is_known(name, tmp_path):
+    nodes = [
+        helper.make_node("Cast", given, [y], to=getattr(TensorProto, op))
+        if op in ("BOOL", "FLOAT")
+        else helper.make_node(op, given, [y])
+        for op, *given, y in WRITTEN_OUT[name]
+    ]
+    right(built(nodes, {"x": [1, 3]}, ["y"], {"one": np.float32(1)}), tmp_path)
+
+
+def test_a_divisor_and_a_logarithm_that_are_no_such_shape_are_refused(tmp_path):
+    nodes = [helper.make_node("Abs", ["x"], ["a"]), helper.make_node("Add", ["a", "two"], ["d"])]
+    nodes.append(helper.make_node("Div", ["x", "d"], ["y"]))
+    assert "the divisor must be a constant" in refusal(
+        built(nodes, {"x": [1]}, ["y"], {"two": np.float32(2)}), tmp_path
+    )
+    assert "operation Log: a network carries" in refusal(one("Log", [1], opset=18), tmp_path)
+
+
+def test_missing_values_and_thresholds_of_scikit_learn_are_carried(tmp_path):
+    for options in ({"replaced_value_float": float("nan")}, {"replaced_value_float": 0.0}):
+        more = {"imputed_value_floats": [0.5, 1.5, 2.5]}
+        right(one("Imputer", [1, 3], opset=18, domain=ML, **more, **options), tmp_path)
+    right(one("Binarizer", [1, 3], opset=18, domain=ML, threshold=0.2), tmp_path)
+
+
 def test_a_batch_of_windows_must_be_answered_one_by_one(tmp_path):
     nodes = [helper.make_node("ReduceMean", ["x", "both"], ["y"], keepdims=0)]
     said = refusal(built(nodes, {"x": ["N", 4, 2]}, ["y"], {"both": i(0, 1)}), tmp_path)

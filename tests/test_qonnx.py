@@ -1,8 +1,11 @@
 """A QONNX model becomes a program that gives every bit of QONNX's own executor."""
 
 import numpy as np
+import onnxruntime
 import pytest
 from command_line import greygate
+from onnx import helper
+from onnx_cases import built
 
 from greygate.compiler.declared import declared_program
 from greygate.emulator.emulation import emulate
@@ -31,8 +34,6 @@ class Model:
         return self.fixed[-1].name
 
     def node(self, kind, *given, **options):
-        from onnx import helper
-
         name = f"{kind}_{len(self.nodes)}"
         self.nodes.append(helper.make_node(kind, [*given], [f"{name}_out"], name=name, **options))
         return f"{name}_out"
@@ -50,7 +51,7 @@ class Model:
         return self.node("Add", self.node("MatMul", x, w), b)
 
     def saved(self, path, y, inputs=3, outputs=2):
-        from onnx import TensorProto, helper
+        from onnx import TensorProto
 
         ports = [
             [helper.make_tensor_value_info(n, TensorProto.FLOAT, [N, c])] for n, c in (("x", inputs), (y, outputs))
@@ -85,6 +86,14 @@ def linked(m):
     x = m.quant("x", 2.0**-5, 8, narrow=1)
     h = m.quant(m.layer(x, 3, 3), 2.0**-3, 4)
     return m.layer(m.node("Sub", h, m.node("Mul", x, m.constant(0.5))), 3, 2)
+
+
+def binary(m):
+    """Weights of one bit, and an input that no Quant reads."""
+    w = m.node("BipolarQuant", m.constant(m.rng.normal(size=(3, 4))), m.constant(0.5), domain="qonnx.custom_op.general")
+    v = m.quant(m.constant(m.rng.normal(size=(4, 2))), 0.25, 1)
+    h = m.quant(m.node("Relu", m.node("MatMul", "x", w)), 2.0**-4, 6, signed=0)
+    return m.node("MatMul", h, v)
 
 
 CARRIED = {
@@ -138,6 +147,61 @@ def test_a_qonnx_model_is_compiled_and_emulated_as_any_network(tmp_path):
     assert code == 2
     assert "Quant nodes fix every weight and format; leave out the width" in err
     assert not (tmp_path / "b").exists()
+
+
+LINEAR = {  # type of the codes, their zero points, a scale
+    "uint8": (np.uint8, 128, 2.0**-5),
+    "uint8 above": (np.uint8, 7, 2.0**-6),
+    "int8": (np.int8, 0, 2.0**-5),
+    "int8 below": (np.int8, -100, 2.0**-5),
+    "int16": (np.int16, 12, 2.0**-8),
+}
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_zero_points_of_signals_give_every_bit_of_onnxruntime(name, tmp_path):
+    kind, zero, scale = LINEAR[name]
+    rng, path = np.random.default_rng(3), tmp_path / "model.onnx"
+    fixed = {
+        "s": np.float32(scale), "z": kind(zero), "w": rng.integers(-20, 20, (3, 2)).astype(np.int8),
+        "ws": np.float32(0.125), "wz": np.int8(3), "t": np.float32(2 * scale),
+    }  # fmt: skip
+    nodes = [
+        helper.make_node("QuantizeLinear", ["x", "s", "z"], ["q"]),
+        helper.make_node("DequantizeLinear", ["q", "s", "z"], ["d"]),
+        helper.make_node("DequantizeLinear", ["w", "ws", "wz"], ["m"]),
+        helper.make_node("MatMul", ["d", "m"], ["n"]),
+        helper.make_node("Relu", ["n"], ["r"]),
+        helper.make_node("QuantizeLinear", ["r", "t", "z"], ["p"]),
+        helper.make_node("DequantizeLinear", ["p", "t", "z"], ["y"]),
+    ]
+    path.write_bytes(built(nodes, {"x": ["N", 3]}, ["y"], fixed, 21).SerializeToString())
+    x = (rng.normal(size=(N, 3)) * 3).astype(np.float32)
+    x[(x / scale) % 1 == 0.5] += np.float32(scale / 8)  # midway between two codes the host goes up
+    (expected,) = onnxruntime.InferenceSession(str(path)).run(None, {"x": x})
+    program = declared_program(load_quantized(path))
+    answer = program.decode(
+        run(program, program.encode({f"x_{k + 1}": x[:, k] for k in range(3)}), states=False).outputs
+    )
+    assert len(np.unique(expected)) > 10, "it does something"
+    assert np.array_equal(np.stack([answer["y_1"], answer["y_2"]], 1), expected)
+
+
+def test_weights_of_one_bit_and_an_input_without_quant_are_carried(tmp_path, capfd):
+    m = Model()
+    path = m.saved(tmp_path / "model.onnx", binary(m))
+    x = np.random.default_rng(9).integers(-1000, 1000, (N, 3)).astype(np.float32) / 256
+    expected = executed(path, x)
+    ports = load_quantized(path).network
+    names = [p.name for p in (*ports.inputs, *ports.outputs)]
+    Recording(1e-3, dict(zip(names, [*x.T, *expected.T], strict=True)), dict.fromkeys(names, "1")).write_csv(
+        tmp_path / "r.csv"
+    )
+    compile_project(Source(str(path), {"r": str(tmp_path / "r.csv")}), tmp_path / "build", architectures=("folded",))
+    assert "input x_1: no Quant reads it; Fix(16, 13) by the recording" in capfd.readouterr().err
+    project = Project.open(tmp_path / "build")
+    found = emulate(project.program, project.inputs("r")[0]).outputs
+    assert np.array_equal(np.stack([found[n] for n in names[3:]], 1), expected)
 
 
 def behind(operation):

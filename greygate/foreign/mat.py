@@ -40,7 +40,7 @@ def mat() -> Read:
 
 
 def _plain(value: Any) -> Any:
-    """A struct as a dictionary, a text as str, cells as an array of objects."""
+    """A struct as a dictionary, a text as str, cells as an array of objects, a matrix of characters as one of texts."""
     if isinstance(value, np.ndarray) and value.dtype.names:
         return {n: _plain(value.reshape(-1)[0][n]) for n in value.dtype.names} if value.size == 1 else None
     if isinstance(value, np.ndarray) and value.dtype == object:
@@ -49,7 +49,8 @@ def _plain(value: Any) -> Any:
             out[at] = _plain(value[at])
         return out
     if isinstance(value, np.ndarray) and value.dtype.kind in "US":
-        return "".join(value.reshape(-1)[:1].tolist())
+        rows = value.reshape(-1)
+        return "".join(rows[:1].tolist()) if rows.size < 2 else _plain(rows.astype(object))  # a matrix of characters
     if isinstance(value, np.ndarray) and value.dtype.kind in "iub" and value.dtype.itemsize <= 4:
         return value.astype(float)  # MATLAB stores whole numbers of any class so
     return value

@@ -230,12 +230,24 @@ class Builder:
 
     def largest(self, value: Value, axes: Sequence[int], keep: bool, hint: str) -> Value:
         """The maximum along some axes, along all if none is named. keep: they stay, with one element."""
+        return self._along(value, axes, keep, lambda a, b: self.maximum(a, b, hint))
+
+    def multiplied(self, value: Value, axes: Sequence[int], keep: bool, hint: str) -> Value:
+        """The product along some axes, as `largest`."""
+        return self._along(value, axes, keep, lambda a, b: self.product(a, b, hint))
+
+    def equal(self, a: Value, b: Value, hint: str) -> Value:
+        """1 where both are the same, else 0."""
+        return self.at_least(a, b, hint).plus(self.at_least(b, a, hint)).plus(constant(-1.0))
+
+    @staticmethod
+    def _along(value: Value, axes: Sequence[int], keep: bool, how: Callable[[Value, Value], Value]) -> Value:
         count = len(value.shape)
         chosen = sorted({a % count for a in axes}) if axes else list(range(count))
         rest = [k for k in range(count) if k not in chosen]
         size = int(np.prod([value.shape[k] for k in chosen]))
         flat = value.moved(lambda i: i.transpose(*rest, *chosen).reshape(-1, size))
-        found = reduce(lambda a, b: self.maximum(a, b, hint), (taken(flat, k, 1) for k in range(size)))
+        found = reduce(how, (taken(flat, k, 1) for k in range(size)))
         shape = [1 if k in chosen else n for k, n in enumerate(value.shape) if keep or k not in chosen]
         return found.moved(lambda i: i.reshape(shape))
 

@@ -58,7 +58,7 @@ def compared(path: Path | str, inputs: Mapping[str, np.ndarray]) -> Beside | Non
     if path.suffix.lower() != ".onnx":
         return None
     if load_quantized(path) is not None:
-        return Beside("onnxruntime", why="it has no Quant nodes")
+        return Beside("onnxruntime", why="the model rounds, and the float network does not")
     return beside(imported(path, **_told(path)), path, inputs)
 
 

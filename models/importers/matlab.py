@@ -5,6 +5,8 @@ inputDelays{i,j}, layerDelays{i,j}   delays of those weights in steps; 0 where t
 transferFcn{i}                       tansig, logsig, purelin, poslin, satlin, satlins, hardlim, hardlims, radbas
 inputProcess{j}, outputProcess{i}    settings of mapminmax and mapstd, in the order in which they act
 inputs, outputs                      names, such as 'u [V]', one for each element
+
+Or the plain layers of verification contests: W{i}, b{i}, act_fcns{i}, the layer's weights on the one before.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,6 +25,8 @@ TRANSFER = {
     "radbas": "radbas",
 }  # fmt: skip
 """Transfer function -> activation, where they are the same."""
+PLAIN = {"relu": "poslin", "linear": "purelin", "tanh": "tansig", "sigmoid": "logsig"}
+"""Names in act_fcns -> transfer function; the others are the same."""
 
 
 def from_matlab(
@@ -53,7 +57,8 @@ class _Layout:
     """The fields of a file, each checked when it is read."""
 
     def __init__(self, path: Path, found: Mapping[str, Any], inputs: Any, outputs: Any):
-        self.path, self.found = path, found
+        self.path, self.found = path, _layered(found)
+        found = self.found
         if missing := [f for f in ("IW", "b", "transferFcn") if f not in found]:
             raise InputError(f"{path}: has no {missing[0]}; write it with the function on docs/importers.md")
         self.transfer = [str(v) for v in _cells(found["transferFcn"]).ravel()]
@@ -74,6 +79,9 @@ class _Layout:
         if given is not None:
             return [port(g) for g in given]
         names = [str(v) for v in _cells(self.found.get(field, np.empty(0, object))).ravel()]
+        if not names and "act_fcns" in self.found:
+            count = sum(self._sizes()) if field == "inputs" else sum(self._size(k) for k in self._outputs())
+            names = [f"{'x' if field == 'inputs' else 'y'}_{k + 1}" for k in range(count)]
         if not names:
             raise InputError(f"{self.path}: names no {field}; write {field} = {{'u [V]', ...}}, one for each element")
         return [port(n) for n in names]
@@ -211,6 +219,20 @@ class _Layout:
 def _of_layer(name: str, size: int) -> Value:
     """A layer's output now."""
     return Value((size,), np.zeros(size), {(name, 0): np.eye(size)})
+
+
+def _layered(found: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The fields of a network of plain layers, W{i}, b{i} and act_fcns{i}, as those of a toolbox network."""
+    if "IW" in found or not {"W", "b", "act_fcns"} <= found.keys():
+        return found
+    weights, names = _cells(found["W"]).ravel(), [str(v).strip() for v in _cells(found["act_fcns"]).ravel()]
+    within = np.full((len(weights), len(weights)), None, object)
+    for k in range(1, len(weights)):
+        within[k, k - 1] = weights[k]
+    entering = np.full((len(weights), 1), None, object)
+    entering[0, 0] = weights[0]
+    transfer = np.array([PLAIN.get(n.lower(), n) for n in names], object)
+    return {**found, "IW": entering, "LW": within, "transferFcn": transfer}
 
 
 # -- what the file holds ---------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import numpy as np
 from greygate.errors import InputError, one_line, shown
 from greygate.models.importers import onnx_space
 from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken, titled
-from greygate.models.importers.curves import CURVES
+from greygate.models.importers.curves import CURVES, softplus
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, STANDARD, array, first, ports_of, read, shape
 from greygate.models.importers.onnx_recurrent import GATES, recurrent, scan
 from greygate.models.importers.onnx_reference import (
@@ -32,7 +32,7 @@ from greygate.models.importers.onnx_reference import (
     lengths,
     samples_of,
 )
-from greygate.models.importers.qonnx import QUANTIZERS, Declaring, Quantized
+from greygate.models.importers.qonnx import LINEAR, QUANTIZERS, Declaring, Quantized
 from greygate.models.layer import LONGEST_DELAY
 from greygate.models.network import Network, Port
 from greygate.progress import once
@@ -107,7 +107,7 @@ def _windows(model: Any, path: Path | str) -> dict[str, int]:
         axes = shape(tensor, path, True)
         through = len(axes) == SEQUENCE and axes[1] != 1 and _along_time(model, tensor.name)
         held = [2] if through else samples_of(axes)
-        chosen = [k for k in held if isinstance(axes[k], int) and 1 < axes[k] <= LONGEST_DELAY]
+        chosen = [k for k in held if isinstance(n := axes[k], int) and 1 < n <= LONGEST_DELAY]
         if len(chosen) == 1:
             found[tensor.name] = chosen[0]
     return found
@@ -145,7 +145,12 @@ def from_qonnx(
 
 
 def _quantizes(model: Any) -> bool:
-    return any(node.domain in QONNX and node.op_type in QUANTIZERS for node in model.graph.node)
+    nodes, fixed = model.graph.node, {t.name for t in model.graph.initializer}
+    return any(
+        (n.domain in QONNX and n.op_type in QUANTIZERS)
+        or (n.domain in STANDARD and n.op_type == "QuantizeLinear" and n.input[0] not in fixed)
+        for n in nodes
+    )
 
 
 def _built(
@@ -267,6 +272,7 @@ class _Walk:
         self.constants: dict[str, np.ndarray] = {}
         self.changing: list[Any] = []
         self.node: Any = None
+        self.made: dict[str, Any] = {}  # a value's name -> the node that gave it
         self.scope: dict[str, Any] = {}
         self.left = NUMBERS
         self.columns = Reference(reference.opsets, CHECKED, double=True)
@@ -299,6 +305,7 @@ class _Walk:
                     f"with it the model has more than {NUMBERS} weights of signals, the most that is read"
                 )
             values |= {n: v for n, v in zip(node.output, found, strict=False) if n}
+            self.made.update(dict.fromkeys(node.output, node))
             if fixed.issuperset(filter(None, node.input)) and all(isinstance(v, np.ndarray) for v in found):
                 fixed.update(node.output)
             else:
@@ -388,6 +395,7 @@ class _Walk:
         return self.node.name or self.node.op_type
 
 
+TRUTHS = {"Greater", "GreaterOrEqual", "Less", "LessOrEqual", "Equal", "Not", "And", "Or"}  # what they give is 1 or 0
 CARRIED = (
     "a network carries sums, products with constants and of two signals, slices, joins, Tanh, Sigmoid, Relu, Elu, "
     "Gelu, Clip, Max, Where, Conv and recurrent operators of them; replace it, or approximate it by such a part"
@@ -433,10 +441,33 @@ def _matmul(walk: _Walk, a: Value, b: Value) -> Value:
 
 
 def _divide(walk: _Walk, a: Value, b: Value) -> Value:
+    if b.constant is None and _of_softsign(walk, *walk.node.input):
+        return walk.builder.activated(a, "softsign", walk.hint)
     divisor = walk.fixed(b, "the divisor")
     if not divisor.all():
         raise walk.refused("divides by 0")
     return a.times(1.0 / divisor)
+
+
+def _of_softsign(walk: _Walk, x: str, divisor: str) -> bool:
+    """Whether a divisor is 1 + |x|, as exporters write softsign out."""
+    total = walk.made.get(divisor)
+    if total is None or total.op_type != "Add":
+        return False
+    parts = [(n, walk.scope[n]) for n in total.input]
+    one = any(isinstance(v, np.ndarray) and np.all(v == 1) for _, v in parts)
+    return one and any(
+        n in walk.made and walk.made[n].op_type == "Abs" and walk.made[n].input[0] == x for n, _ in parts
+    )
+
+
+def _logarithm(walk: _Walk, x: Value) -> Value:
+    """Of a sigmoid, as exporters write logsigmoid out: v - softplus(v)."""
+    inner = walk.made.get(walk.node.input[0])
+    if inner is None or inner.op_type != "Sigmoid":
+        raise walk.refused(CARRIED)
+    value = walk.scope[inner.input[0]]
+    return value.plus(softplus(walk.builder, value, walk.hint).times(-1.0))
 
 
 def _activated(kind: str) -> Callable:
@@ -482,6 +513,13 @@ def _along(sign: float) -> Callable:
     """The maximum or the minimum along axes."""
     return lambda walk, x, *rest, **options: _reduced(
         lambda v, axes, keep: walk.builder.largest(v.times(sign), axes, keep, walk.hint).times(sign)
+    )(walk, x, *rest, **options)
+
+
+def _many(how: Callable) -> Callable:
+    """A function of all elements along axes."""
+    return lambda walk, x, *rest, **options: _reduced(
+        lambda v, axes, keep: how(walk.builder, v, axes, keep, walk.hint)
     )(walk, x, *rest, **options)
 
 
@@ -573,6 +611,11 @@ def _cast(walk: _Walk, x: Value, to: int, **_: Any) -> Value:
 
     if to in (TensorProto.FLOAT, TensorProto.DOUBLE):
         return x
+    if to == TensorProto.BOOL:
+        made = walk.made.get(walk.node.input[0])
+        return (
+            x if made is not None and made.op_type in TRUTHS else _not(walk.builder.equal(x, constant(0.0), walk.hint))
+        )
     raise walk.refused(f"a signal becomes {TensorProto.DataType.Name(to)}, which rounds it; keep it in FLOAT or DOUBLE")
 
 
@@ -605,6 +648,19 @@ def _scaler(walk: _Walk, x: Value, offset: Sequence[float] = (0.0,), scale: Sequ
     return x.plus(constant(-np.asarray(offset))).times(np.asarray(scale))
 
 
+def _imputed(walk: _Walk, x: Value, replaced_value_float: float = float("nan"), **values: Any) -> Value:
+    """A recording has no NaN; another value is replaced by that of its column."""
+    if np.isnan(replaced_value_float):
+        return x
+    found = np.asarray(values.get("imputed_value_floats", [0.0]), float)
+    missing = walk.builder.equal(x, constant(replaced_value_float), walk.hint)
+    return _where(walk, missing, constant(found), x)
+
+
+def _binarized(walk: _Walk, x: Value, threshold: float = 0.0) -> Value:
+    return _not(walk.builder.at_least(constant(threshold), x, walk.hint))
+
+
 FUNCTIONS: dict[str, Callable] = {
     "Gemm": _gemm,
     "MatMul": _matmul,
@@ -615,6 +671,7 @@ FUNCTIONS: dict[str, Callable] = {
     "Neg": lambda walk, x: x.times(-1.0),
     "Sum": lambda walk, *values: reduce(Value.plus, values),
     "Pow": _power,
+    "Log": _logarithm,
     "Tanh": _activated("tansig"),
     "Sigmoid": _activated("logsig"),
     "Softsign": _activated("softsign"),
@@ -628,6 +685,7 @@ FUNCTIONS: dict[str, Callable] = {
     "Mean": lambda walk, *values: reduce(Value.plus, values).times(1 / len(values)),
     "ReduceMax": _along(1.0),
     "ReduceMin": _along(-1.0),
+    "ReduceProd": _many(Builder.multiplied),
     "ReduceSumSquare": _of(_squared),
     "ReduceL1": _of(_absolute),
     "Where": _where,
@@ -635,6 +693,7 @@ FUNCTIONS: dict[str, Callable] = {
     "LessOrEqual": lambda walk, a, b: walk.builder.at_least(b, a, walk.hint),
     "Greater": lambda walk, a, b: _not(walk.builder.at_least(b, a, walk.hint)),
     "Less": lambda walk, a, b: _not(walk.builder.at_least(a, b, walk.hint)),
+    "Equal": lambda walk, a, b: walk.builder.equal(a, b, walk.hint),
     "Not": lambda walk, x: _not(x),
     "And": _truth(1.5),
     "Or": _truth(0.5),
@@ -664,6 +723,7 @@ FUNCTIONS: dict[str, Callable] = {
     "ReduceMean": _reduced(Value.mean),
     "BatchNormalization": _normed,
     **{kind: recurrent(kind) for kind in GATES},
+    **LINEAR,
     "Scan": scan,
     "Cast": _cast,
     "Dropout": _dropout,
@@ -673,6 +733,12 @@ FUNCTIONS: dict[str, Callable] = {
 DOMAINS: dict[tuple[str, ...], Mapping[str, Callable]] = {
     STANDARD: FUNCTIONS,
     QONNX: QUANTIZERS,
-    ("ai.onnx.ml",): {"Scaler": _scaler, "ArrayFeatureExtractor": _extracted, "LinearRegressor": _regressed},
+    ("ai.onnx.ml",): {
+        "Scaler": _scaler,
+        "ArrayFeatureExtractor": _extracted,
+        "LinearRegressor": _regressed,
+        "Imputer": _imputed,
+        "Binarizer": _binarized,
+    },
 }
 """The same by the domains that an operation may be of: one of another domain is another one, whatever its name."""

@@ -104,7 +104,8 @@ def recurrent(kind: str) -> Callable:
         **given: Any,
     ) -> list[Value]:
         options = Options(**given)
-        x, h, c = (v if v is None or not options.layout else _swapped(v) for v in (x, h, c))
+        if options.layout:
+            x, h, c = _swapped(x), h and _swapped(h), c and _swapped(c)
         if x.shape[1] != 1 or (x.shape[0] != 1 and not walk.windows):
             raise walk.refused(f"takes {list(x.shape)}: export the model with one step and a batch of 1")
         if options.direction != "forward" and not walk.windows:
@@ -112,10 +113,12 @@ def recurrent(kind: str) -> Callable:
         if lens is not None and not walk.windows:
             raise walk.refused("sequence_lens is not carried: a step is one sample of one sequence; leave it out")
         length = x.shape[0] if lens is None else int(walk.fixed(lens, "the lengths").max())
-        turned = [k or options.direction == "reverse" for k in range(len(options.shapes(kind)))]
+        turned = [bool(k) or options.direction == "reverse" for k in range(len(options.shapes(kind)))]
         ways = []
         for k, back in enumerate(turned):
-            cell = _cell(walk, kind, options, k, *(walk.fixed(v, "a weight")[k] if v else None for v in (w, r, b, p)))
+            weights = [walk.fixed(w, "a weight")[k], walk.fixed(r, "a weight")[k]]
+            more = [None if v is None else walk.fixed(v, "a weight")[k] for v in (b, p)]
+            cell = _cell(walk, kind, options, k, weights[0], weights[1], *more)
             starts = [None if v is None else taken(v, k, 0) for v in ((h, c) if kind == "LSTM" else (h,))]
             ways.append(_way(walk, cell, taken(x, 0, 1), starts, length, r.shape[-1], back))
         return _ends(ways, options.layout)
@@ -215,7 +218,8 @@ def scan(walk: Any, *given: Value, body: Any, num_scan_inputs: int, **options: A
 
 def computed(kind: str, options: Options, x: np.ndarray, w: np.ndarray, r: np.ndarray, *rest: Any) -> list[np.ndarray]:
     """The outputs of RNN, GRU or LSTM on arrays. rest: B, sequence_lens, initial_h, initial_c, P, each or None."""
-    b, lens, h, c, p = [*rest, *[None] * (5 - len(rest))]
+    given: list[Any] = [*rest, *[None] * (5 - len(rest))]
+    b, lens, h, c, p = given
     x, h, c = (v if v is None or not options.layout else np.swapaxes(v, 0, 1) for v in (x, h, c))
     n, batch = r.shape[-1], x.shape[1]
     lens = np.full(batch, len(x)) if lens is None else lens

@@ -12,7 +12,7 @@ import numpy as np
 from greygate.errors import InputError, one_line, shown
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, messages
 from greygate.models.importers.onnx_recurrent import GATES, Options, computed
-from greygate.models.importers.qonnx import limited
+from greygate.models.importers.qonnx import LINEAR, limited
 from greygate.models.network import Network
 
 AGREED = 1e-6  # of the largest answer: float64 on both sides, and products of signals made of squares
@@ -20,6 +20,7 @@ LEAST = 1e-12  # what is smaller is the rounding of an answer that should be 0
 CHECKED = 4 * ELEMENTS  # numbers that the comparison with the reference may compute
 ROWS = 4096  # samples of a window or a batch that are tried
 IMAGE = 4  # axes: batch, channels, height, width
+BOOL = 9  # of ONNX's types
 SAMPLES = 3  # of an axis whose length is free
 SPREAD = (0.3, 1.0, 3.0)  # of the numbers that are tried, one sample each
 
@@ -373,11 +374,13 @@ def _difference(
 def answer(made: Imported, feeds: Mapping[str, np.ndarray], reference: Reference) -> dict[str, np.ndarray]:
     """What the model gives, all floats as float64, so that its own rounding is no difference."""
     values = {n: _wide(v) for n, v in made.constants.items()} | dict(feeds)
+    types = {n: v for n, v in made.constants.items() if v.dtype.kind in "iu"}  # of zero points
     for node in made.changing:
-        if node.domain in QONNX:
-            values[node.output[0]] = limited(node, [values[n] for n in node.input])
+        if node.domain in QONNX or node.op_type in LINEAR:
+            values[node.output[0]] = limited(node, values | types)
         elif node.op_type == "Cast" and values[node.input[0]].dtype.kind == "f":
-            values[node.output[0]] = values[node.input[0]]
+            truth = any(a.name == "to" and a.i == BOOL for a in node.attribute)
+            values[node.output[0]] = values[node.input[0]] != 0 if truth else values[node.input[0]]
         else:
             values |= {n: _wide(v) for n, v in reference.run(node, values).items()}
     return values

@@ -123,10 +123,11 @@ def _quant(
         raise walk.refused("a zero point that is not 0; export with symmetric quantization")
     widths, steps = walk.fixed(bits, "the bit width").ravel(), walk.fixed(scale, "the scale")
     width = int(widths[0])
-    if (widths != width).any() or not 1 + signed <= width <= WIDEST:
-        raise walk.refused(f"bit width {widths[0]:g}; give one whole number from {1 + signed} to {WIDEST}")
+    least = 1 if x.constant is not None else 1 + signed
+    if (widths != width).any() or not least <= width <= WIDEST:
+        raise walk.refused(f"bit width {widths[0]:g}; give one whole number from {least} to {WIDEST}")
     lo, hi = _codes(width, signed, narrow)
-    if hi <= lo:
+    if hi <= lo and width > 1:
         raise walk.refused("one bit of a narrow range holds only 0; give it two")
     if not ((steps > 0) & (np.frexp(steps)[0] == 0.5)).all():  # np.frexp gives a mantissa from 0.5 to 1
         raise walk.refused(
@@ -135,6 +136,8 @@ def _quant(
         )
     rounding, numpys = mode
     if (found := x.constant) is not None:
+        if width == 1 and signed:  # Brevitas's 1 bit, as QONNX reads it
+            return constant(_ones(found) * steps)
         return constant(numpys(np.clip(found / steps, lo, hi)) * steps)
     if (steps != steps.flat[0]).any():
         raise walk.refused("several scales for one signal, whose elements share a format; give it one scale")
@@ -142,13 +145,43 @@ def _quant(
     return walk.builder.quantized(x, form, walk.hint)
 
 
-def limited(node: Any, given: Sequence[np.ndarray]) -> np.ndarray:
-    """What a Quant node makes of an array without its rounding: the limits of its format."""
+def quantized_linear(walk: Any, x: Value, scale: Value, zero: Value | None = None, axis: int = 1, **_: Any) -> Value:
+    """ONNX's own, of a signal: a format whose codes are those of the type less the zero point; it gives the codes."""
+    step, point = walk.fixed(scale, "the scale"), 0.0 if zero is None else walk.fixed(zero, "the zero point")
+    if step.size != 1 or np.size(point) != 1:
+        raise walk.refused("several scales for one signal, whose elements share a format; quantize it per tensor")
+    size, shift = float(step.reshape(())), float(np.reshape(point, ()))
+    if not (size > 0 and np.frexp(size)[0] == 0.5):
+        raise walk.refused(f"scale {size:.6g} is no power of two, so no format has it; quantize with powers of two")
+    low, high = (int(v - shift) for v in _range(walk.node, walk.scope))
+    width = 1 + max((~low if low < 0 else low).bit_length(), high.bit_length())
+    form = Format(width, 1 - int(np.frexp(size)[1]), low, high, "half_even")
+    return walk.builder.quantized(x, form, walk.hint).times(1 / size).plus(constant(shift))
+
+
+def dequantized_linear(walk: Any, x: Value, scale: Value, zero: Value | None = None, **_: Any) -> Value:
+    shift = np.zeros(1) if zero is None else walk.fixed(zero, "the zero point")
+    return x.plus(constant(-shift)).times(walk.fixed(scale, "the scale"))
+
+
+def _range(node: Any, values: Mapping[str, Any]) -> tuple[int, int]:
+    """The least and the greatest code of the type of a QuantizeLinear's zero point; without one it is UINT8."""
+    found = np.iinfo(values[node.input[2]].dtype if len(node.input) > 2 and node.input[2] else np.uint8)
+    return int(found.min), int(found.max)
+
+
+def limited(node: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """What a node that quantizes makes of an array without its rounding: the limits of its format."""
     from onnx import helper
 
-    x, scale, _, bits = given
+    x, scale, *rest = (values[n] for n in node.input if n)
+    if node.op_type in LINEAR:
+        zero = rest[0].astype(float) if rest else 0.0
+        if node.op_type == "DequantizeLinear":
+            return (x - zero) * scale.astype(float)
+        return np.clip(x / scale.astype(float) + zero, *_range(node, values))
     options = {a.name: helper.get_attribute_value(a) for a in node.attribute}
-    lo, hi = _codes(int(np.ravel(bits)[0]), options.get("signed", 1), options.get("narrow", 0))
+    lo, hi = _codes(int(np.ravel(rest[1])[0]), options.get("signed", 1), options.get("narrow", 0))
     return np.clip(x, lo * scale.astype(float), hi * scale.astype(float))
 
 
@@ -159,13 +192,22 @@ def _codes(width: int, signed: int, narrow: int) -> tuple[int, int]:
     return 0, (1 << width) - 1 - narrow
 
 
-def _bipolar(walk: Any, *given: Value | None) -> Value:
+def _bipolar(walk: Any, x: Value, scale: Value) -> Value:
+    """Constants, such as 1-bit weights, become -1 and 1 times the scale."""
+    if (found := x.constant) is not None:
+        return constant(_ones(found) * walk.fixed(scale, "the scale"))
     raise walk.refused("-1 and 1 have no 0 between them; use a Quant of 2 bits with narrow = 1, which has -1, 0 and 1")
+
+
+def _ones(values: np.ndarray) -> np.ndarray:
+    return np.where(values >= 0, 1.0, -1.0)
 
 
 def _trunc(walk: Any, *given: Value | None, **options: Any) -> Value:
     raise walk.refused("it drops bits of a sum; use a Quant with rounding_mode FLOOR")
 
 
+LINEAR: Mapping[str, Callable] = {"QuantizeLinear": quantized_linear, "DequantizeLinear": dequantized_linear}
+"""Operations of ONNX itself."""
 QUANTIZERS: Mapping[str, Callable] = {"Quant": _quant, "IntQuant": _quant, "BipolarQuant": _bipolar, "Trunc": _trunc}
 """Operations of QONNX."""
