@@ -14,6 +14,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from greygate.compiler.limits import factors, limit
 from greygate.compiler.ranges import Range, sums
 from greygate.compiler.tables import Form, flat_from, integer_bits, make_table, output_fix
 from greygate.emulator.numbers import ACCUMULATOR_BITS, Fix, Overflow, Rounding
@@ -209,7 +210,7 @@ class _Quantizer:
         elif f.lowered == Op.THRESHOLD:
             fix = Fix(2, 0)
         elif f.lowered == Op.CLAMP:
-            fix = Fix(width, width - 1 - integer_bits(max(map(abs, f.image))))
+            fix = self.fix(name, width)
         else:
             fix = self.fix(name, width)
             exact = self._exact_frac(name)
@@ -315,9 +316,9 @@ class _Quantizer:
             self.tables.setdefault(key, table)
             self.operations.append(Lookup(out, pre, table.name))
         elif lowered == Op.CLAMP:
-            fix = Fix(f.width + f.wide, f.width + f.wide - 1 - max(1, self.fix_bits(pre)))
-            self._affine(Signal(pre, layer.size, fix), layer.bias, reads)
-            self.operations.append(Clamp(out, pre, int(low * 2**fix.frac), int(high * 2**fix.frac), f.rounding))
+            signal = Signal(pre, layer.size, out.fix)
+            self._affine(signal, layer.bias, reads, overflow=Overflow.SATURATE)
+            self._clamp(out, signal, (low, high))
         else:
             self._signed(Signal(pre, layer.size, self._sign_fix(pre)), layer.bias, reads)
             self.operations.append(Threshold(out, pre, 0, int(low), int(high)))
@@ -343,26 +344,83 @@ class _Quantizer:
         return True
 
     def _select(self, name: str) -> None:
-        """A multiplexer that reads earlier signals directly if its rows are plain, and else sums of them."""
-        layer, out, args = self.layers[name], self.signals[name], []
-        for part, rows in sums(name, layer).items():
-            is_condition, plain = part.endswith(".condition"), self._plain(name, rows)
-            if plain and plain[3] == 0 and (plain[2] > 0 if is_condition else plain[2] == 1):
-                signal = self._delayed(*plain[:2])
-                near = signal.fix.width <= 36 and abs(signal.fix.frac - out.fix.frac) <= 12  # or SELECT grows too wide
-                if is_condition or near:
-                    args.append(signal.name)
-                    continue
-            reads = [(self._delayed(*feed), w) for feed, w in self._reads(name, rows).items()]
-            fix = self._sign_fix(part) if is_condition else self.formats.signals.get(part, out.fix)
-            signal = Signal(part, layer.size, fix)
-            if is_condition:
-                self._signed(signal, layer.bias[rows], reads)
-            else:
-                self._affine(signal, layer.bias[rows], reads)
-            args.append(part)
-        condition, above, below = args
+        """A multiplexer reads earlier signals directly where its rows are plain, and else sums of them, each once."""
+        if self._limited(name):
+            return
+        out, parts, slopes = self.signals[name], sums(name, self.layers[name]), self._slopes(name)
+        made: dict[str, Signal] = {}
+        for part, rows in sorted(parts.items(), key=lambda p: bool(slopes) and not p[0].endswith(".above")):
+            direct = self._direct(part, rows, out)
+            made[part] = direct or self._part(part, rows, slopes.get(part), made.get(f"{name}.above"))
+        condition, above, below = (made[part].name for part in parts)
         self.operations.append(Select(out, condition, above, below, self.formats.rounding))
+
+    def _part(self, part: str, rows: slice, slope: np.ndarray | None, above: Signal | None) -> Signal:
+        """A sum of a multiplexer. slope: by which it is the sum above, whose sign serves as a condition."""
+        name, _, kind = part.rpartition(".")
+        layer, is_condition = self.layers[name], kind == "condition"
+        if slope is not None and above and is_condition:
+            return above
+        fix = self._sign_fix(part) if is_condition else self.formats.signals.get(part, self.signals[name].fix)
+        signal = Signal(part, layer.size, fix)
+        if is_condition:
+            self._signed(signal, layer.bias[rows], self._summed(name, rows))
+        elif slope is not None and above:
+            self._affine(signal, np.zeros(layer.size), [(above, np.diag(slope))])
+        else:
+            self._affine(signal, layer.bias[rows], self._summed(name, rows))
+        return signal
+
+    def _summed(self, name: str, rows: slice) -> list[tuple[Signal, np.ndarray]]:
+        return [(self._delayed(*feed), w) for feed, w in self._reads(name, rows).items()]
+
+    def _slopes(self, name: str) -> dict[str, np.ndarray]:
+        """The parts that need no sum of their own beside that of `above`, and by which factors they are it."""
+        parts = sums(name, self.layers[name])
+        condition, above, below = self._matrices(name)
+        own, found = list(parts), {}
+        if self._direct(own[1], parts[own[1]], self.signals[name]) is not None:
+            return {}
+        sign, slope = factors(condition, above), factors(below, above)
+        if sign is not None and np.all(sign > 0):
+            found[own[0]] = sign
+        if slope is not None and np.all(np.abs(slope) <= 1):  # or it would enlarge the rounding
+            found[own[2]] = slope
+        return found
+
+    def _direct(self, part: str, rows: slice, out: Signal) -> Signal | None:
+        """The earlier signal that plain rows of a multiplexer are; None for a sum."""
+        plain, is_condition = self._plain(part.rpartition(".")[0], rows), part.endswith(".condition")
+        if plain is None or plain[3] != 0 or not (plain[2] > 0 if is_condition else plain[2] == 1):
+            return None
+        signal = self._delayed(*plain[:2])
+        near = signal.fix.width <= 36 and abs(signal.fix.frac - out.fix.frac) <= 12  # or SELECT grows too wide
+        return signal if is_condition or near else None
+
+    def _matrices(self, name: str) -> list[np.ndarray]:
+        """The sums of a multiplexer as `limits` takes them."""
+        reads = self._reads(name)
+        whole = np.hstack([*reads.values(), self.layers[name].bias[:, None]])
+        return [whole[rows] for rows in sums(name, self.layers[name]).values()]
+
+    def _limited(self, name: str) -> bool:
+        """Lower a multiplexer that limits one of its sums to that sum, rounded and saturated once, and a CLAMP."""
+        layer, out, found = self.layers[name], self.signals[name], limit(*self._matrices(name))
+        if found is None:
+            return False
+        part, rows = list(sums(name, layer).items())[found.value]
+        signal = self._direct(part, rows, out)
+        if signal is None:
+            signal = Signal(part, layer.size, self.formats.signals.get(part, out.fix))
+            self._affine(signal, layer.bias[rows], self._summed(name, rows), overflow=Overflow.SATURATE)
+        self._clamp(out, signal, (found.end, math.inf) if found.least else (-math.inf, found.end))
+        return True
+
+    def _clamp(self, out: Signal, arg: Signal, ends: tuple[float, float]) -> None:
+        """Limit a signal to the codes nearest to the ends that its format has."""
+        fix = arg.fix
+        lo, hi = (min(max(end * 2.0**fix.frac, fix.lo), fix.hi) for end in ends)
+        self.operations.append(Clamp(out, arg.name, math.floor(lo + 0.5), math.floor(hi + 0.5), self.formats.rounding))
 
     def _sign_fix(self, pre: str) -> Fix:
         width = self.formats.width + self.formats.wide

@@ -99,11 +99,11 @@ def test_a_switch_is_a_multiplexer_on_a_signal_of_any_size(scale):
     np.testing.assert_array_equal(interpret(program, codes).outputs[:, 0], chosen)
 
 
-def test_a_limit_at_one_end_is_a_multiplexer():
+def test_a_limit_at_one_end_is_a_clamp():
     inputs = {"x": np.linspace(-1, 1, 200)}
     for args, expected in (({"hi": np.inf}, np.maximum), ({"lo": -np.inf, "hi": 0.0}, np.minimum)):
         program = compiled(library("limiter", **args), inputs).program
-        assert operations(program) == {"multiplexer": 1}
+        assert operations(program) == {"clamp": 1}
         codes = program.encode(inputs)
         np.testing.assert_array_equal(interpret(program, codes).outputs, expected(codes, 0))
 

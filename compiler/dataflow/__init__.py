@@ -5,8 +5,9 @@ from functools import cached_property
 from greygate.compiler import verilog
 from greygate.compiler.code_ranges import code_ranges
 from greygate.compiler.dataflow.sums import Sums
+from greygate.compiler.limits import clamps_behind
 from greygate.compiler.targets import Design
-from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Program, Signal
+from greygate.emulator.program import Affine, Clamp, Elementwise, Lookup, Operation, Program, Signal
 
 
 class Dataflow:
@@ -33,20 +34,28 @@ class Dataflow:
     @cached_property
     def sums(self) -> dict[str, Sums]:
         """Result of each affine operation -> its module."""
-        ranges = code_ranges(self.program)
-        return {
-            o.out.name: Sums(
-                self.program, o, self.names, ranges, self.design.adders, self.pipelined, told_alike(self.program, o)
-            )
-            for o in self.program.operations
-            if isinstance(o, Affine)
-        }
+        ranges, most, pipelined = code_ranges(self.program), self.design.adders, self.pipelined
+        found = {}
+        for o in self.program.operations:
+            if isinstance(o, Affine):
+                told, clamp = told_alike(self.program, o), self.clamps.get(o.out.name)
+                found[o.out.name] = Sums(self.program, o, self.names, ranges, most, pipelined, told, clamp)
+        return found
+
+    @cached_property
+    def clamps(self) -> dict[str, Clamp]:
+        """Sum -> the clamp that its module performs as well."""
+        return clamps_behind(self.program)
 
     def clocks(self, o: Operation) -> int:
         """From arguments to results."""
         if isinstance(o, Affine):
             return self.sums[o.out.name].clocks
-        return verilog.clocks(o)
+        return 0 if self.performed(o) else verilog.clocks(o)
+
+    def performed(self, o: Operation) -> bool:
+        """Whether the module of a sum performs this clamp."""
+        return isinstance(o, Clamp) and o.arg in self.clamps
 
     @cached_property
     def since(self) -> dict[str, int]:
@@ -77,6 +86,8 @@ class Dataflow:
     def layer(self, o: Operation, arguments: list[str], enable: str) -> str:
         """The instance of an operation on wires of those names. enable: of its registers, where they have one."""
         y = self.names[o.out.name]
+        if self.performed(o):
+            return f"    assign {y} = {arguments[0]};\n"
         ends = {"clk": "clk"}
         if isinstance(o, Affine):
             sums = self.sums[o.out.name]

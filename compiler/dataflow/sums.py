@@ -14,7 +14,7 @@ from greygate.compiler.code_ranges import Interval, rounding_constant
 from greygate.compiler.verilog import module_text, number, remark, unused_text, wrapped
 from greygate.emulator.interpreter import fit, round_shift
 from greygate.emulator.numbers import Overflow, Rounding
-from greygate.emulator.program import Affine, Program
+from greygate.emulator.program import Affine, Clamp, Program
 
 
 def solved(program: Program, o: Affine, ranges: Mapping[str, list[Interval]]) -> Graph:
@@ -117,8 +117,8 @@ class Sums:
     most: adders in a row between two registers, 0 for no register inside. pipelined: a new argument may come with
     every clock, so that registers balance the ways and `en` holds them all; else arguments hold still, and nothing
     holds the registers. held: arguments are there only for a while, so that `en` takes the result. told: so many low
-    bits of a result need not be right where it saturates, because its readers answer all such codes alike.
-    clocks: from arguments to results.
+    bits of a result need not be right where it saturates, because its readers answer all such codes alike. clamp: what
+    limits the result before the register. clocks: from arguments to results.
     """
 
     held = False
@@ -132,8 +132,10 @@ class Sums:
         most: int,
         pipelined: bool = False,
         told: int = 0,
+        clamp: Clamp | None = None,
     ):
         self.program, self.o, self.names, self.pipelined, self.told = program, o, names, pipelined, told
+        self.clamp = clamp
         self.graph = solved(program, o, ranges)
         self.stages = stages(self.graph, most)
         self.clocks = self.stages.count
@@ -187,6 +189,8 @@ class Sums:
             f" rounding {o.rounding.value}, overflow {o.overflow.value}.",
             f"{graph.adders} adders{inside}. {self.clocks} clock{'s' if self.clocks > 1 else ''}.",
         ]
+        if self.clamp:
+            comment.append(f"Results are limited to {self.clamp.lo} to {self.clamp.hi}, as {self.clamp.out.name} is.")
         inputs = "".join(
             f"    input  wire [{s.size * s.fix.width - 1}:0] {self.names[s.name]},  // {s.size} x {s.fix}\n"
             for s in self.arguments
@@ -271,7 +275,7 @@ class Sums:
         if p.operand == CONSTANT:
             exact = round_shift(o.bias[r : r + 1], np.array([shift]), o.rounding)
             constant = int(fit(exact, o.out.fix, o.overflow)[0])
-            return text + f"    wire signed [{width - 1}:0] {row} = {number(constant, width)};\n", row
+            return self._limited(text + f"    wire signed [{width - 1}:0] {row} = {number(constant, width)};\n", row)
         value = self.at(p.operand, self.clocks - 1 if self.pipelined else self.stages.of[p.operand])
         lo, hi = self.graph.range(p.operand)
         if p.negate:
@@ -305,7 +309,17 @@ class Sums:
             code = f"{{{sign}, {code}{f', {bits(0, told)}' if told else ''}}}"
         if p.negate:
             self.spare += value.unread()
-        return text + f"    wire signed [{width - 1}:0] {row} = {code};\n", row
+        return self._limited(text + f"    wire signed [{width - 1}:0] {row} = {code};\n", row)
+
+    def _limited(self, text: str, row: str) -> tuple[str, str]:
+        """The code of a row within the limits of the clamp."""
+        if not self.clamp:
+            return text, row
+        fix, limited = self.o.out.fix, self._fresh(f"limited_{row}")
+        lo, hi = (number(v, fix.width) for v in (self.clamp.lo, self.clamp.hi))
+        code = f"{row} > {hi} ? {hi} : {row}" if self.clamp.hi < fix.hi else row
+        code = f"{row} < {lo} ? {lo} : {code}" if self.clamp.lo > fix.lo else code
+        return f"{text}    wire signed [{fix.width - 1}:0] {limited} = {code};\n", limited
 
     def _formula(self, r: int) -> str:
         """A comment: the row in physical numbers."""

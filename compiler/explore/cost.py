@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from greygate.compiler.folding.schedule import fold
+from greygate.compiler.limits import clamps_behind
 from greygate.compiler.serial.code import compiled
 from greygate.compiler.targets import FACTORS, Design, Memory, architecture
 from greygate.compiler.targets.folded import DEEP
@@ -260,9 +261,9 @@ def folded(program: Program, design: Design, family: str) -> Parts:
 
 def standing(program: Program, design: Design) -> dict[str, int]:
     """Signal -> clock at which it stands, an estimate: each sum is a tree with a register after every few adders."""
-    since = dict.fromkeys(program.signals, 0)
+    since, with_sums = dict.fromkeys(program.signals, 0), clamps_behind(program)
     for o in program.operations:
-        clocks = LOOKUP if isinstance(o, Lookup) else 1
+        clocks = LOOKUP if isinstance(o, Lookup) else 0 if o.args[0] in with_sums else 1
         if isinstance(o, Affine):
             terms = int(digits(o.weights).sum(axis=1).max()) + 1
             clocks = max(1, -(-(terms - 1).bit_length() // design.adders)) if design.adders else 1

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from greygate.compiler.limits import clamps_behind
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.numbers import Overflow, Rounding
 from greygate.emulator.program import Affine as Operation
-from greygate.emulator.program import Lookup, Program
+from greygate.emulator.program import Clamp, Lookup, Program
 from greygate.errors import InputError
 from greygate.hardware.proofs.accumulators import reachable
 from greygate.hardware.proofs.affine import ADDERS, Affine, Module, Rest, Some, Unknown, Value, Vector, signed_bits
@@ -82,13 +83,16 @@ def _module(program: Program, o: Operation, modules: Mapping[str, dict], reach: 
 def _operation(program: Program, o: Operation, module: Module) -> Proof:
     """Every row has the weights and the bias of the program, and is rounded as the program says."""
     what = f"{o.out.name}: {o.out.size} rows equal the matrix and its rounding"
+    clamp = clamps_behind(program).get(o.out.name)
+    if clamp:
+        what += ", limited"
     with timed() as seconds:
         port = module.json["ports"][o.out.name.replace(".", "__")]["bits"]
         width, why, told, unshown = o.out.fix.width, None, 0, None
         for r in range(o.out.size):
             bits = port[r * width : (r + 1) * width]
             try:
-                less = _row(o, r, expected(program, o, r), module, bits)
+                less = _row(o, r, expected(program, o, r), module, bits, clamp)
             except _Different as error:
                 why = f"row {r}: {error}"
                 break
@@ -123,14 +127,15 @@ def expected(program: Program, o: Operation, r: int) -> Affine:
     return found
 
 
-def _row(o: Operation, r: int, wanted: Affine, module: Module, bits: Sequence) -> int:
-    """Prove one row. Returns how many low bits differ where it saturates, mostly 0."""
+def _row(o: Operation, r: int, wanted: Affine, module: Module, bits: Sequence, clamp: Clamp | None) -> int:
+    """Prove one row, limited by `clamp`. Returns how many low bits differ where it saturates, mostly 0."""
     try:
         import z3
     except ImportError:
         raise InputError("z3 is not installed; pip install greygate[proof]") from None
     from greygate.hardware.proofs.words import Words
 
+    wanted = moving(wanted, module.reach)
     lo, hi = (int(v) for v in wanted.range(module.reach))
     shift = int(o.frac[r]) - o.out.fix.frac
     wide = max(signed_bits(lo, hi), o.out.fix.width) + abs(shift) + SPARE
@@ -151,7 +156,7 @@ def _row(o: Operation, r: int, wanted: Affine, module: Module, bits: Sequence) -
             return None
         variable = z3.BitVec(f"{vector[0]}.{vector[1]}", module.width(vector))
         try:
-            _relate(solver, acc, wanted, value, variable, rests, module.name(vector))
+            _relate(solver, acc, wanted, value, variable, rests, module.name(vector), module.reach)
         except _Different:
             if other:
                 raise _Unknown(f"what adder {other[0]} computes is not known here") from None
@@ -163,6 +168,9 @@ def _row(o: Operation, r: int, wanted: Affine, module: Module, bits: Sequence) -
     except NotImplementedError as error:
         raise _Unknown(f"a cell {error} after the sum is not known here") from None
     answer, beyond = _rounded(acc, shift, o)
+    if clamp:
+        least, most = (z3.BitVecVal(end, answer.size()) for end in (clamp.lo, clamp.hi))
+        answer = z3.If(answer < least, least, z3.If(answer > most, most, answer))
     for told in (0, *range(o.out.fix.width)):
         same = z3.Extract(o.out.fix.width - 1, told, given) == z3.Extract(o.out.fix.width - 1, told, answer)
         if told:
@@ -207,7 +215,14 @@ def _occurs(total: int, rests: Mapping[Rest | Some, int], wanted: Affine, module
 
 
 def _relate(
-    solver: Any, acc: Any, wanted: Affine, value: Value, variable: Any, rests: dict[Rest | Some, Any], name: str
+    solver: Any,
+    acc: Any,
+    wanted: Affine,
+    value: Value,
+    variable: Any,
+    rests: dict[Rest | Some, Any],
+    name: str,
+    reach: Mapping[str, tuple[int, int]],
 ) -> None:
     """Tell the solver what the vector has to do with the row's sum; raise _Different if nothing.
 
@@ -215,7 +230,7 @@ def _relate(
     """
     import z3
 
-    function = value.function
+    function = moving(value.function, reach)
     of_elements = Affine({n: w for n, w in function.weights.items() if isinstance(n, str)}, function.const)
     others = {n: w for n, w in function.weights.items() if not isinstance(n, str)}
     factor = _factor(of_elements, wanted) if of_elements.weights else Fraction(0)
@@ -234,6 +249,14 @@ def _relate(
         expression = rests.setdefault(rest, z3.BitVec(f"rest {len(rests)}", 1 if isinstance(rest, Some) else rest.bits))
         found = found + z3.ZeroExt(longest - expression.size(), expression) * int(w * size)
     solver.add(whole * left == found)
+
+
+def moving(function: Affine, reach: Mapping[str, tuple[int, int]]) -> Affine:
+    """The function without the elements that are always 0, whatever their weights."""
+    return Affine(
+        {n: w for n, w in function.weights.items() if not (isinstance(n, str) and reach.get(n) == (0, 0))},
+        function.const,
+    )
 
 
 def _factor(function: Affine, wanted: Affine) -> Fraction | None:

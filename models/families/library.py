@@ -205,7 +205,7 @@ def absolute(reach: float = 1.0) -> LibraryNetwork:
 
 
 def limiter(lo: float = 0.0, hi: float = 1.0) -> LibraryNetwork:
-    """y = min(hi, max(x, lo)), by one saturating neuron, or by a multiplexer if lo is -inf or hi is inf."""
+    """y = min(hi, max(x, lo)), by one saturating neuron, or a multiplexer in the network if lo is -inf or hi is inf."""
     if not lo < hi or (lo == -math.inf and hi == math.inf):
         raise InputError(f"library network limiter: lo = {lo}, hi = {hi}; give lo < hi, one of them may be infinite")
     span, text, error = hi - lo, f"min({hi:g}, max(x, {lo:g}))", ROUNDING * (abs(lo) + abs(hi))
@@ -213,13 +213,12 @@ def limiter(lo: float = 0.0, hi: float = 1.0) -> LibraryNetwork:
         "part": (Layer({"x": [[1 / span]]}, [-lo / span], "satlin"), {"x": "x"}),
         "out": (Layer({"part": [[span]]}, [lo]), {"part": "part"}),
     }
-    hardware = "1 clamp"
     if math.isinf(span):
         end, side, text = (lo, 1.0, f"max(x, {lo:g})") if math.isinf(hi) else (hi, -1.0, f"min(x, {hi:g})")
         chosen = Layer({"x": [[side], [1.0], [0.0]]}, [-side * end, 0.0, end], "select")
-        layers, hardware, error = {"out": (chosen, {"x": "x"})}, "1 multiplexer", 0.0
+        layers, error = {"out": (chosen, {"x": "x"})}, 0.0
     return LibraryNetwork(
-        _network("limiter", "x", layers), lambda x: np.clip(x, lo, hi), text, {"x": ANY}, error, hardware
+        _network("limiter", "x", layers), lambda x: np.clip(x, lo, hi), text, {"x": ANY}, error, "1 clamp"
     )
 
 
