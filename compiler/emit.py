@@ -39,6 +39,8 @@ def emitted(program: Program, architecture: str = "parallel", design: Design = D
         blocks = set(re.findall(r"^ *(greygate_\w+) #\(", "".join(texts.values()), re.M))
         if {"greygate_clamp", "greygate_select"} & blocks:
             blocks.add("greygate_requantize")
+        if "greygate_stream" in blocks:
+            blocks.add("greygate_skid")
         if any("greygate_lookup" in text for text in texts.values()):
             blocks.add("greygate_product")
         texts |= {f"{b}.v": rtl.block(b).read_text() for b in sorted(blocks)}

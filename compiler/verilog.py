@@ -30,7 +30,7 @@ PORTS = (
     "m_axis_tvalid",
     "m_axis_tready",
 )
-TAKEN = (*PORTS, "DEPTH", "en", "stream", "sample", "start", "done", "ready", "result", "stage", "unused")
+TAKEN = (*PORTS, "DEPTH", "en", "skid", "stream", "sample", "start", "done", "ready", "result", "stage", "unused")
 TEMPLATES = Path(__file__).with_name("templates")
 # of Verilog-2005, and those of SystemVerilog that tools trip over
 KEYWORDS = frozenset((TEMPLATES / "keywords.txt").read_text(encoding="utf-8").split())
@@ -385,6 +385,12 @@ def stream_instance(width_in: int, width_out: int) -> str:
     """The edge of the core."""
     ports = {p: p for p in PORTS} | {"ready": "1'b1"} | {p: p for p in ("sample", "start", "done", "result")}
     return instance("greygate_stream", "stream", {"IN_W": width_in, "OUT_W": width_out}, ports)
+
+
+def skid_instance(width: int, beat: str, valid: str, take: str) -> str:
+    """The entry of a core, which answers with a register. beat, valid, take: names of wires."""
+    ports = {p: p for p in PORTS if not p.startswith("m_axis")} | {"beat": beat, "valid": valid, "take": take}
+    return instance("greygate_skid", "skid", {"W": width}, ports)
 
 
 @cache

@@ -265,6 +265,11 @@ class Bench:
             for (at, s), start in zip(self.registers(), starts, strict=True)
         ]
 
+    def boot(self) -> int:
+        """Clocks after a reset in which s_axis_tready does not tell when the design is ready; mostly 0."""
+        count = architecture(self.case.architecture).boot
+        return count(self.case.program, self.case.design) if count else 0
+
     def job(self) -> dict:
         program = self.case.program
         initial = np.array([v for s in program.states for v in s.initial], np.int64)
@@ -273,6 +278,7 @@ class Bench:
             "name": f"{program.name}/{self.case.architecture}",
             "seen": self.words(),
             "since": self.since,
+            "boot": self.boot(),
             "initial": lanes(self.states, initial[None]).tobytes().hex(),
             "scenarios": [
                 {"index": k, "name": name, "loads": s.initial is not None}

@@ -69,7 +69,7 @@ module greygate_serial #(
     assign code_address = place_reg;
     assign code_read = rst || !sleep;
     assign push = PUSHES != 0 && wait_word && field[1] && field[0];
-    assign s_axis_tready = wait_word && !rst && (field[0] ? !(PUSHES != 0 && field[1]) : !s_axis_tvalid);
+    assign s_axis_tready = wait_word && !rst && field[0] && !(PUSHES != 0 && field[1]);
     assign m_axis_tvalid = show;
 
     always @(posedge clk) begin

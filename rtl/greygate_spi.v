@@ -20,8 +20,8 @@ module greygate_spi (
     output wire broken   // a transfer has ended
 );
 
-    reg [2:0] clocks;
-    reg [1:0] selects, data;
+    (* ASYNC_REG = "TRUE" *) reg [2:0] clocks;
+    (* ASYNC_REG = "TRUE" *) reg [1:0] selects, data;
     reg [2:0] place;  // of the bit in its byte
     reg sending;
 

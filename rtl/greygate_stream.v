@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // Stream: the AXI4-Stream edge of a core that works on one sample at a time.
 // Takes a beat, raises start, waits for done, gives a beat. A reset drops a sample under way.
-// The clock in which a result is taken may bring the next sample.
+// The next beat may come before a result is taken; its step begins in the clock in which that is.
 
 `default_nettype none
 
@@ -27,11 +27,25 @@ module greygate_stream #(
     reg busy_reg;
 
     wire taken = m_axis_tvalid && m_axis_tready;
+    wire idle = ready && (!busy_reg || taken);
+    wire valid;
+    wire [IN_W-1:0] beat;
 
-    assign s_axis_tready = ready && (!busy_reg || taken) && !rst;
+    greygate_skid #(
+        .W(IN_W)
+    ) skid (
+        .clk(clk),
+        .rst(rst),
+        .s_axis_tdata(s_axis_tdata),
+        .s_axis_tvalid(s_axis_tvalid),
+        .s_axis_tready(s_axis_tready),
+        .beat(beat),
+        .valid(valid),
+        .take(idle)
+    );
 
     always @(posedge clk) begin
-        start <= s_axis_tvalid && s_axis_tready;
+        start <= valid && idle;
         if (done) begin
             m_axis_tdata <= result;
             m_axis_tvalid <= 1'b1;
@@ -40,8 +54,8 @@ module greygate_stream #(
             m_axis_tvalid <= 1'b0;
             busy_reg <= 1'b0;
         end
-        if (s_axis_tvalid && s_axis_tready) begin
-            sample <= s_axis_tdata;
+        if (valid && idle) begin
+            sample <= beat;
             busy_reg <= 1'b1;
         end
         if (rst) begin

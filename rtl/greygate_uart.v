@@ -24,7 +24,7 @@ module greygate_uart #(
     localparam [31:0] HALF_32 = CLOCKS / 2 - 1;
     localparam [3:0] START = 4'd0, EIGHTH = 4'd8, STOP = 4'd9;  // the places of a byte; 1 to 8 are data
 
-    reg [1:0] synchronised;
+    (* ASYNC_REG = "TRUE" *) reg [1:0] synchronised;
     assign rx_bit = synchronised[0];
 
     reg [COUNT_W-1:0] count;

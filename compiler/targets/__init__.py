@@ -84,11 +84,13 @@ class Architecture(Target):
 
     registers: (program, design) -> one register for each element of the states, in the order of the program. clocks:
     (program, design) -> clocks from one sample to the next where the bench never waits; a target without it is not
-    explored.
+    explored. boot: (program, design) -> clocks after a reset until it is ready, where s_axis_tready does not say so
+    before a sample is offered.
     """
 
     registers: Callable[["Program", Design], list[Register]]
     clocks: Callable[["Program", Design], int] | None = None
+    boot: Callable[["Program", Design], int] | None = None
 
 
 def target(name: str) -> Target:

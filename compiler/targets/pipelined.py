@@ -11,7 +11,7 @@ samples of one stand further apart, and a loop that is no longer than the channe
 from greygate.compiler.dataflow import Dataflow
 from greygate.compiler.targets import Architecture, Design
 from greygate.compiler.targets.parallel import registers
-from greygate.compiler.verilog import header, module_text, render, stream_widths
+from greygate.compiler.verilog import header, module_text, render, skid_instance, stream_widths
 from greygate.emulator.program import Program, Signal
 
 
@@ -70,9 +70,12 @@ class _Pipelined(Dataflow):
             stored = {s.signal.name: self.fresh(f"{self.names[s.signal.name]}_of") for s in program.states}
         result = self.outputs({p.signal.name: self.at(p.signal.name, depth) for p in program.outputs})
         named = {"core": self, "program": program, "names": self.names, "initial": self.initial()}
-        named |= {"depth": depth, "stored": stored, **stream_widths(program)}
+        widths = stream_widths(program)
+        named |= {"depth": depth, "stored": stored, **widths}
         named |= {"answer": self.fresh("answer"), "valid": self.fresh("answer_valid")}
         named |= {"rest": self.fresh("rest") if self.interval > 1 else "", "taken": self.fresh("taken")}
+        entry = {name: self.fresh(name) for name in ("beat", "offered", "room")}
+        named |= entry | {"skid": skid_instance(widths["width_in"], *entry.values())}
         named |= {"rest_bits": (self.interval - 1).bit_length(), "turn": self.fresh("turn") if stored else ""}
         named |= {"channels": channels, "channel_bits": self.channel_bits, "delays": self.delays(), "layers": layers}
         named |= {"deepest": max((self.stage[s.source] for s in program.states), default=0)}  # the last state's

@@ -33,7 +33,13 @@ def clocks(program: Program, design: Design) -> int:
     return compiled(program).clocks
 
 
-TARGET = Architecture(serial, registers, clocks)
+def boot(program: Program, design: Design) -> int:
+    """Clocks after a reset until the memory holds the initial states, at most."""
+    code = compiled(program)
+    return code.start - code.boot + 2
+
+
+TARGET = Architecture(serial, registers, clocks, boot)
 
 
 def _top(program: Program, code: Code) -> str:

@@ -83,7 +83,7 @@ def verify(
 def prove(
     folder: words.Build,
     only: Annotated[
-        list[str], typer.Option(metavar="PROOF", help="primitives, sums, bound, netlist or drift, and no other.")
+        list[str], typer.Option(metavar="PROOF", help="primitives, sums, handshake, bound, netlist, drift; no other.")
     ] = [],
     target: Annotated[words.Target, words.TARGET] = ICE40,
     architecture: Annotated[list[words.Architecture], words.ARCHITECTURE] = [],

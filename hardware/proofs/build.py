@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from greygate.compiler.emit import sources
+from greygate.compiler.verilog import stream_widths
 from greygate.errors import InputError
 from greygate.hardware.build import Project
 from greygate.hardware.proofs.accumulators import accumulators
 from greygate.hardware.proofs.bound import STEPS, bounded, contraction, feedback, no_drift
 from greygate.hardware.proofs.elaborated import Proof, blocks, elaborate
+from greygate.hardware.proofs.handshake import handshake
 from greygate.hardware.proofs.mapped import netlist_equals_emulator
 from greygate.hardware.proofs.primitives import primitives, unknown
 from greygate.hardware.proofs.sums import sums
@@ -19,7 +21,7 @@ from greygate.hardware.proofs.tables import tables
 from greygate.progress import Progress, silent, titled
 
 # a table, every code of which is tried, or what computes nothing
-ELSEWHERE = ("greygate_lookup", "greygate_product", "greygate_stream")
+ELSEWHERE = ("greygate_lookup", "greygate_product", "greygate_skid", "greygate_stream")
 NOTHING = "it has nothing that this concerns"
 LONGEST = 5000  # steps of a scenario that a netlist plays
 
@@ -83,6 +85,14 @@ def _sums(project: Project, chosen: dict, progress: Progress) -> Iterator[Proof]
             yield _of(proof, architecture)
 
 
+def _handshakes(project: Project, chosen: dict, progress: Progress) -> Iterator[Proof]:
+    top, widths = project.program.name, stream_widths(project.program)
+    for architecture in chosen["designs"]:
+        folder, told = project.folder / "rtl" / architecture, titled(progress, architecture)
+        for proof in handshake(folder, top, widths, progress=told):
+            yield _of(proof, architecture)
+
+
 def _netlists(project: Project, chosen: dict, progress: Progress) -> Iterator[Proof]:
     scenario = next(iter(project.scenarios(project.source.scenarios[:1]).values()))
     codes, answers = scenario.inputs[:LONGEST], scenario.outputs[:LONGEST]
@@ -117,6 +127,7 @@ def _of(proof: Proof, architecture: str) -> Proof:
 PROOFS: dict[str, Callable[[Project, dict, Progress], Iterator[Proof]]] = {
     "primitives": _primitives,
     "sums": _sums,
+    "handshake": _handshakes,
     "bound": _bound,
     "netlist": _netlists,
     "drift": _drift,
