@@ -17,7 +17,7 @@ import numpy as np
 from greygate.errors import InputError, one_line, shown
 from greygate.models.importers import onnx_space
 from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken, titled
-from greygate.models.importers.curves import CURVES, softplus
+from greygate.models.importers.curves import CURVES, instead, softplus
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, STANDARD, array, first, ports_of, read, shape
 from greygate.models.importers.onnx_recurrent import GATES, recurrent, scan
 from greygate.models.importers.onnx_reference import (
@@ -323,7 +323,7 @@ class _Walk:
             return self.affine(node, given)
         function = next((f.get(node.op_type) for d, f in DOMAINS.items() if domain in d), None)
         if function is None:
-            raise self.refused(CARRIED)
+            raise self.refused(CARRIED + instead(node.op_type))
         options = {a.name: _attribute(a) for a in node.attribute}
         made = function(self, *(None if v is None else signal(v) for v in given), **options)
         found = list(made) if isinstance(made, list | tuple) else [made]
@@ -398,7 +398,7 @@ class _Walk:
 TRUTHS = {"Greater", "GreaterOrEqual", "Less", "LessOrEqual", "Equal", "Not", "And", "Or"}  # what they give is 1 or 0
 CARRIED = (
     "a network carries sums, products with constants and of two signals, slices, joins, Tanh, Sigmoid, Relu, Elu, "
-    "Gelu, Clip, Max, Where, Conv and recurrent operators of them; replace it, or approximate it by such a part"
+    "Gelu, Clip, Max, Where, Conv and recurrent operators of them; "
 )
 
 
@@ -465,7 +465,7 @@ def _logarithm(walk: _Walk, x: Value) -> Value:
     """Of a sigmoid, as exporters write logsigmoid out: v - softplus(v)."""
     inner = walk.made.get(walk.node.input[0])
     if inner is None or inner.op_type != "Sigmoid":
-        raise walk.refused(CARRIED)
+        raise walk.refused(CARRIED + instead("Log"))
     value = walk.scope[inner.input[0]]
     return value.plus(softplus(walk.builder, value, walk.hint).times(-1.0))
 

@@ -572,7 +572,7 @@ class _Walk:
         if not outside and stack and stack[-1][0]:
             path, kind = stack[-1]
             place = " in " + path.removeprefix("L['self'].") + f" ({str(kind).rpartition('.')[2]})"
-        return InputError(f"operation {operation}{place}: {why or CARRIED}")
+        return InputError(f"operation {operation}{place}: {why or CARRIED + curves.instead(operation)}")
 
     def hint(self) -> str:
         """A name for the layer of this node: the module's path, if it has one."""
@@ -583,7 +583,7 @@ class _Walk:
 
 CARRIED = (
     "a network carries sums, products with constants and of two signals, slices, joins, tanh, sigmoid, relu, clamp, "
-    "abs and recurrent cells of them; replace it, or approximate it by such a part"
+    "abs and recurrent cells of them; "
 )
 BRANCH = "forward branches on data or reads a number out of a tensor: write torch.where, torch.clamp or torch.relu"
 CHANGED = ("BUFFER_MUTATION", "PARAMETER_MUTATION")
