@@ -435,11 +435,15 @@ def simulated(net: dict) -> Answer:
             widths.append(net["IW"][i, j].shape[1] // net["inputDelays"][i, j].size)
         for j, width in enumerate(widths):
             part = np.vstack([np.zeros((20, width)), x[:, start : start + width]])
+            if "Xi" in net:
+                part[20 - net["Xi"].shape[1] : 20] = [np.ravel(v) for v in net["Xi"][j]]
             if settings and isinstance(settings[j], dict):
                 part = (part - settings[j]["xoffset"]) * settings[j]["gain"] + settings[j]["ymin"]
             entered.append(part)
             start += width
         past = [np.zeros((len(x) + 20, len(np.ravel(b)))) for b in net["b"].ravel()]
+        for i, held in enumerate(net.get("Ai", ())):
+            past[i][20 - len(held) : 20] = [np.ravel(v) for v in held]
         for k in range(20, len(x) + 20):
             for i, f in enumerate(transfer):
                 n = np.ravel(net["b"].ravel()[i]).copy()
@@ -478,6 +482,14 @@ def narx_closed() -> dict:
     return layout(["tansig", "purelin"], inputs, layers, [w(6, 1), w(1, 1)], **settings, **names)
 
 
+def narx_started() -> dict:
+    """With the states of before the first step, the oldest first."""
+    rng = np.random.default_rng(7)
+    before = cells([[float(v) for v in rng.uniform(-1, 1, 3)]])
+    layers = cells([[rng.uniform(-1, 1, (6, 1)) for _ in range(2)], [float(v) for v in rng.uniform(-1, 1, 2)]])
+    return {**narx_closed(), "Xi": before, "Ai": layers}
+
+
 def layrec() -> dict:
     w = drawn(3)
     inputs, layers = [[(w(5, 1), [0])], [None]], [[(0.6 * w(5, 5), [1]), None], [(w(1, 5), [0]), None]]
@@ -504,6 +516,7 @@ def saved(net: Callable[[], dict], write: Callable) -> Callable:
 MATLAB = [
     Imported("MATLAB v5", "fitnet", "tansig, purelin, mapminmax", saved(fitnet, write_v5)),
     Imported("MATLAB v5", "NARX, closed loop", "delays, feedback, mapminmax", saved(narx_closed, write_v5)),
+    Imported("MATLAB v5", "NARX from its states", "delays, feedback, Xi, Ai", saved(narx_started, write_v5)),
     Imported("MATLAB v7.3", "layrecnet", "logsig, layer delay", saved(layrec, write_v73)),
     Imported("MATLAB v7.3", "two inputs, three layers", "poslin, radbas, satlins, delays", saved(timedelay, write_v73)),
     Imported("MATLAB v7.3", "NARX, closed loop", "delays, feedback, mapminmax", saved(narx_closed, write_v73)),

@@ -5,6 +5,7 @@ inputDelays{i,j}, layerDelays{i,j}   delays of those weights in steps; 0 where t
 transferFcn{i}                       tansig, logsig, purelin, poslin, satlin, satlins, hardlim, hardlims, radbas
 inputProcess{j}, outputProcess{i}    settings of mapminmax and mapstd, in the order in which they act
 inputs, outputs                      names, such as 'u [V]', one for each element
+Xi, Ai                               states before the first step, as preparets gives them; 0 where they are missing
 
 Or the plain layers of verification contests: W{i}, b{i}, act_fcns{i}, the layer's weights on the one before.
 """
@@ -38,7 +39,7 @@ def from_matlab(
     """The network of a .mat file; a closed-loop NARX network and its delays included.
 
     inputs, outputs: ports, or names, one for each element; by default those of the file. Before the first step inputs
-    are 0, in their units, and so are layers.
+    are 0, in their units, and so are layers, but where the file has Xi and Ai.
     Raises InputError for a file that is none, and for a function or a setting that is not carried.
 
     >>> from scipy.io import savemat
@@ -108,6 +109,7 @@ class _Layout:
                 value = value.plus(constant(-offset)).times(gain).plus(constant(low))
             entered.append(value)
             start += size
+        self.delayed: dict[tuple[str, int], list[Value]] = {}
         for k in range(self.layers):
             self._layer(builder, k, entered)
         start = 0
@@ -153,11 +155,11 @@ class _Layout:
         total = constant(bias if bias.size else np.zeros(size))
         for j, weight in enumerate(self.iw[k]):
             if _filled(weight):
-                total = total.plus(self._weighted(k, j, weight, entered[j], "inputDelays"))
+                total = total.plus(self._weighted(builder, k, j, weight, entered[j], "inputDelays"))
         for j in range(self.lw.shape[1]):
             if _filled(self.lw[k, j]):
                 value = _of_layer(f"layer{j + 1}", self._size(j))
-                total = total.plus(self._weighted(k, j, self.lw[k, j], value, "layerDelays"))
+                total = total.plus(self._weighted(builder, k, j, self.lw[k, j], value, "layerDelays"))
         kind, name = self.transfer[k], f"layer{k + 1}"
         if kind == "purelin":
             builder.named(name, total, "linear")
@@ -174,7 +176,7 @@ class _Layout:
             known = ", ".join((*TRANSFER, "poslin", "purelin", "satlins"))
             raise InputError(f"{self.path}: layer {k + 1} has transferFcn {shown(kind)}; carried are {known}")
 
-    def _weighted(self, k: int, j: int, weight: Any, value: Value, field: str) -> Value:
+    def _weighted(self, builder: Builder, k: int, j: int, weight: Any, value: Value, field: str) -> Value:
         """The weights of every delay, side by side, on the value so many steps before."""
         delays = self._delays(field, k, j)
         matrix = np.atleast_2d(np.asarray(weight, float))
@@ -186,8 +188,40 @@ class _Layout:
         total = constant(np.zeros(self._size(k)))
         for n, delay in enumerate(delays):
             part = matrix[:, n * value.size : (n + 1) * value.size]
-            total = total.plus(value.late(delay).linear(part))
+            total = total.plus(self._before(builder, field, j, value, delay).linear(part))
         return total
+
+    def _before(self, builder: Builder, field: str, j: int, value: Value, delay: int) -> Value:
+        """An input or a layer so many steps before, begun as Xi and Ai say; at 0 where the file has none."""
+        starts = self._starts("Xi" if field == "inputDelays" else "Ai", j, value.size)
+        if not starts or not delay:
+            return value.late(delay)
+        if delay > len(starts):
+            raise InputError(
+                f"{self.path}: {len(starts)} initial states and a delay of {delay}; save Xi and Ai of preparets"
+            )
+        line = self.delayed.setdefault((field, j), [value])
+        while len(line) <= delay:
+            name, past = builder.state(f"{field[:5]}{j + 1}_delay{len(line)}", starts[len(line) - 1])
+            builder.keep(name, line[-1])
+            line.append(past)
+        return line[delay]
+
+    def _starts(self, field: str, j: int, size: int) -> list[np.ndarray]:
+        """Of an input (Xi, in its units) or a layer (Ai): what it was before the first step, the newest first."""
+        grid = np.atleast_2d(_cells(self.found.get(field, np.empty(0, object))))
+        if grid.size == 0 or j >= grid.shape[0]:
+            return []
+        found = []
+        for held in reversed(grid[j]):
+            start = np.ravel(np.asarray(held, float))
+            if start.size != size or not np.isfinite(start).all():
+                what = f"{field}{{{j + 1},:}}: {start.size} numbers for {size} elements"
+                raise InputError(f"{self.path}: {what}; save one sequence, without NaN")
+            for offset, gain, low in self._steps("inputProcess", j) if field == "Xi" else ():
+                start = (start - offset) * gain + low
+            found.append(start)
+        return found
 
     # -- processing: y = (x - xoffset) * gain + ymin -----------------------------------------------------------------
 
