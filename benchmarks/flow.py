@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,9 +47,12 @@ def arrays() -> dict[str, np.ndarray]:
     return found
 
 
-def of_peer(python: Path, package: str, folder: Path, *words: object) -> dict:
-    """What flow_peers.py prints for a package, in the interpreter that has it; it works in the folder."""
-    np.savez(folder / "data.npz", **arrays())
+def of_peer(python: Path, package: str, folder: Path, *words: object, data: Mapping | None = None) -> dict:
+    """What flow_peers.py prints for a package, in the interpreter that has it; it works in the folder.
+
+    data: as `arrays`, which are taken otherwise.
+    """
+    np.savez(folder / "data.npz", **(data or arrays()))
     script = Path(__file__).with_name("flow_peers.py").resolve()
     command = [python.absolute(), script, package, "data.npz", *map(str, words)]
     done = subprocess.run(command, cwd=folder, check=True, stdout=subprocess.PIPE, text=True)

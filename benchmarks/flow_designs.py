@@ -8,7 +8,7 @@ go through the same Yosys script in the same run.
 import json
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -64,15 +64,15 @@ def smallest(rms: float, prices: tuple[float, ...], design: Design) -> Candidate
     return min(met, key=lambda one: (cost(one.program, "parallel", design, "xilinx").luts, one.error))
 
 
-def beside(python: Path, package: str, families: Sequence[str], limit: float) -> dict:
-    """RMS of a peer's design, and what the families count."""
+def beside(python: Path, package: str, families: Sequence[str], limit: float, data: Mapping | None = None) -> dict:
+    """RMS of a peer's design, and what the families count. data: weights and formats that it is to have."""
     with scratch() as folder:
-        told = of_peer(python, package, folder, PEER_INDEX, PEER_WIDTH, "--design")
+        told = of_peer(python, package, folder, PEER_INDEX, PEER_WIDTH, "--design", data=data)
         for path in folder.rglob("*.mem"):  # read by their bare names
             shutil.copy(path, folder)
         for path in (folder / name for name in told["files"]):  # Yosys refuses it where a family has no such ROM
             path.write_text(ROM_STYLE.sub("", path.read_text()))
-        row: dict = {"rms": told["rms"]}
+        row: dict = {"rms": told["rms"], "latency": told["latency"]}
         for name in families:
             family = FAMILIES[name]
             synth = family.synth.format(top="flow")

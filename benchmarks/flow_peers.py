@@ -1,7 +1,7 @@
 """The flow network in da4ml or alkaid, with a full table for each neuron. flow.py runs it in their interpreter.
 
     python flow_peers.py PACKAGE DATA.npz INDEX WIDTH...    prints {"width": [RMS, seconds], ...}
-    python flow_peers.py PACKAGE DATA.npz INDEX WIDTH --design    writes flow/, prints {"rms": ..., "files": [...]}
+    python flow_peers.py PACKAGE DATA.npz INDEX WIDTH --design    writes flow/, prints {"rms", "latency", "files"}
 
 DATA: x (N, 2), y (N,) of float, and w1, b1, w2, b2, w3, b3 of y = w3 tanh(w2 tanh(w1 x + b1) + b2) + b3. INDEX: bits of
 the argument of a table; 0: as many as the word. WIDTH: bits of weights, inputs and results.
@@ -29,9 +29,26 @@ def rounded(weights: np.ndarray, width: int) -> np.ndarray:
     return np.floor(weights * scale + 0.5) / scale
 
 
-def network(array, trace, data, width: int, index: int):
+def given(array, trace, data, options: dict):
+    """The logic with the weights and the formats of `fixes`."""
+
+    def kif(n):
+        return {"k": 1, "i": int(fixes[n][0] - fixes[n][1]) - 1, "f": int(fixes[n][1])}
+
+    fixes, modes = data["fixes"], {"overflow_mode": "SAT", "round_mode": "RND"}
+    ones, ends = np.ones(2, int), kif(0)
+    x = h = array.from_kif(ones, ones * ends["i"], ones * ends["f"], **options)
+    for n in (1, 2):
+        z = (h @ data[f"w{n}"].T + data[f"b{n}"]).quantize(**kif(2 * n - 1), **modes)
+        h = z.apply(np.tanh).quantize(**kif(2 * n), **modes)
+    return trace(x, (h @ data["w3"].T + data["b3"]).quantize(**kif(5), **modes))
+
+
+def network(array, trace, data, width: int, index: int, options: dict):
     """The logic: inputs, sums, tables with arguments of `index` bits, an output as wide as the inputs."""
-    x = array.from_kif(np.array([1, 1]), np.array([0, 0]), np.array([width - 1, width - 1]))
+    if "fixes" in data:
+        return given(array, trace, data, options)
+    x = array.from_kif(np.array([1, 1]), np.array([0, 0]), np.array([width - 1, width - 1]), **options)
     h = x
     for n in (1, 2):
         w, b = rounded(data[f"w{n}"], width), rounded(data[f"b{n}"], width)
@@ -43,20 +60,25 @@ def network(array, trace, data, width: int, index: int):
 
 
 def main(package: str, path: str, index: str, *widths: str) -> None:
+    package, _, method = package.partition("-")
+    options = {"solver_options": {"method0": method, "method1": method}} if method else {}
     array, trace = (getattr(importlib.import_module(module), name) for module, name in PACKAGES[package])
     data, found = dict(np.load(path)), {}
     for width in map(int, (w for w in widths if w != "--design")):
-        start, lsb = time.monotonic(), 2.0 ** (1 - width)
-        logic = network(array, trace, data, width, int(index) or width)
-        x = np.clip(np.floor(data["x"] / lsb + 0.5) * lsb, -1, 1 - lsb)
+        wide, fine = map(int, data["fixes"][0]) if "fixes" in data else (width, width - 1)
+        start, lsb, end = time.monotonic(), 2.0**-fine, 2.0 ** (wide - 1 - fine)
+        logic = network(array, trace, data, width, int(index) or width, options)
+        x = np.clip(np.floor(data["x"] / lsb + 0.5) * lsb, -end, end - lsb)
         y = np.asarray(logic.predict(x)).reshape(-1)
         found[width] = [float(np.sqrt(np.mean((y - data["y"]) ** 2))), round(time.monotonic() - start, 2)]
         print(width, found[width], file=sys.stderr)
     if "--design" in widths:
         model = importlib.import_module(f"{package}.codegen.rtl.rtl_model").RTLModel
-        model(logic, prj_name="flow", path="flow", latency_cutoff=CUTOFF, print_latency=False).write()
+        design = model(logic, prj_name="flow", path="flow", latency_cutoff=CUTOFF, print_latency=False)
+        design.write()
+        clocks = design.latency if package == "alkaid" else len(design._pipe.solutions)
         files = sorted(str(f) for f in Path("flow/src").rglob("*.v") if "wrapper" not in f.name)
-        found = {"rms": found[width][0], "files": files}
+        found = {"rms": found[width][0], "latency": int(clocks), "files": files}
     print(json.dumps(found))
 
 
