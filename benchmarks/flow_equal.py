@@ -5,7 +5,6 @@ default and its best solver, as they come; and both on our program's weights and
 one sample to the next, a latency those from a sample to its result.
 """
 
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -17,6 +16,7 @@ from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design, architecture
 from greygate.compiler.targets.pipelined import _Pipelined
+from greygate.emulator.numbers import Fix
 from greygate.emulator.program import Affine, Lookup, Program
 from greygate.hardware.synthesis import synthesize
 
@@ -29,6 +29,7 @@ from .shared import scratch
 TAKES = "ten minutes"
 FAMILY = "xilinx"
 SOLVERS = ("da4ml", "alkaid", "alkaid-mc")
+WHOLE = 2  # bits of an argument of a peer's table: beyond 4, tanh is 1 to 10 bits
 
 
 def terms(program: Program) -> dict:
@@ -66,7 +67,7 @@ def plain(rms: float) -> tuple[Program, float]:
 
 
 def for_peers(program: Program) -> dict[str, np.ndarray]:
-    """Our weights, biases and formats, as flow_peers.py reads them."""
+    """Our weights, biases and formats, as flow_peers.py reads them; arguments of tables as short as full ones allow."""
     data, fixes = arrays(), [program.inputs[0].signal.fix]
     sums = [o for o in program.operations if isinstance(o, Affine)]
     for n, o in enumerate(sums, 1):
@@ -74,8 +75,13 @@ def for_peers(program: Program) -> dict[str, np.ndarray]:
         data[f"w{n}"] = np.ldexp(o.weights.astype(float), fracs[None, :] - o.frac[:, None])
         data[f"b{n}"] = np.ldexp(o.bias.astype(float), -o.frac)
         answers = [p.out.fix for p in program.operations if isinstance(p, Lookup) and p.arg == o.out.name]
-        fixes += [o.out.fix, *answers]
+        fixes += [_indexing(o.out.fix) if answers else o.out.fix, *answers]
     return data | {"fixes": np.array([(fix.width, fix.frac) for fix in fixes])}
+
+
+def _indexing(fix: Fix) -> Fix:
+    """The argument of a table with a word for every code: 13 bits in place of 15, which double its memory twice."""
+    return Fix(1 + min(fix.width - 1 - fix.frac, WHOLE) + fix.frac, fix.frac)
 
 
 def main(
