@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import monotonic
+from time import process_time
 from typing import Annotated, NotRequired, TypedDict
 
 import numpy as np
@@ -87,18 +87,18 @@ def identify(
     progress: Progress = silent,
 ) -> Identified:
     """Find a network of one output from recordings. Raises InputError as `task` and `Halving`."""
-    began = monotonic()
+    began = process_time()
     first = next(iter(recordings.values()))
     for other in (*recordings.values(), *tests.values()):
         if not same(other.dt, first.dt):
             raise InputError(f"{other.source}: sampled every {other.dt:g} s, {first.source} every {first.dt:g} s")
     posed = task(recordings, inputs, output, settle)
     seen = {name: look(r, inputs, output) for name, r in recordings.items()}
-    search = Halving(posed, seconds - (monotonic() - began), jobs, progress)
+    search = Halving(posed, seconds - (process_time() - began), jobs, progress)
     search.run(*reach(posed, seen.values()))
     chosen, fit = search.final()
     network = replace(fit.network, dt=first.dt)
-    return Identified(search.task, chosen, network, search, seen, tests, monotonic() - began)
+    return Identified(search.task, chosen, network, search, seen, tests, search.clock.spent())
 
 
 # ---- what is told

@@ -1,14 +1,16 @@
 """Which model is best on blocks that it has not seen, by successive halving (Jamieson, Talwalkar 2016)."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from time import time
+from time import process_time
 
 import numpy as np
 
 from greygate import children
 from greygate.errors import InputError
+from greygate.identify.clock import Clock, Deadline
 from greygate.identify.ladder import (
     ARMAX,
     ARX,
@@ -26,6 +28,7 @@ from greygate.identify.ladder import (
     own,
 )
 from greygate.identify.linear import estimated, taught
+from greygate.identify.states import pulled, states
 from greygate.identify.study import Fold, parameters
 from greygate.identify.subspace import subspace
 from greygate.identify.task import HALVES, Task, started
@@ -35,11 +38,14 @@ from greygate.models.training.levenberg import Outcome, Trained, train
 from greygate.models.training.record import Record
 from greygate.progress import Progress, silent
 
-ORDERS = (1, 2, 3, 4)
+ORDERS = (1, 2, 3, 4, 5, 6, 7, 8)
+FEW = 4  # the highest order of taps that are set apart: they reach far enough
 PAST = (16, 48)  # taps of a FIR model: it sees a decay of three and of ten of the longest taps of the others
 DECAY = 1e-3  # a prior: no normalised weight should be far above thirty deviations of one normalised error
 STRONG = 3e-2  # the same for recordings whose noise would be learnt with DECAY
+STATE = (0.03, 1.0, 1e-3)  # decays of a state space's neurons, whose signals are spread alike: they are worth more
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
+SURE = 0.95  # that a network is better than every linear model, from which it is chosen
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
 LEAST = 0.1  # s that a training has, where its rung has just run out of time
 DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
@@ -54,7 +60,7 @@ EPOCHS = 150  # of a fit to everything
 class Rung:
     """keep: models that enter it. seeds: starts for each. epochs: of each. samples: at most, of a fold to train on.
 
-    every: 2 for every second fold. until: share of the time limit at which it must end.
+    every: 2 for every second fold. until: share of the time limit at which it must end. first: seed.
     """
 
     keep: int
@@ -63,14 +69,19 @@ class Rung:
     samples: int
     every: int
     until: float
+    first: int = 0
 
 
+QUICK = Rung(10**6, 1, 0, 8000, 1, 0.15)  # linear models by least squares and by the subspace
 LADDER = Rung(10**6, 1, 60, 8000, 1, 0.2)
+LEADING = 4  # of the linear models, that are then fitted to their free run
 ALONE = replace(LADDER, epochs=20, every=2)  # where nothing grows from the linear models: the best one is fitted anew
 NOISES = replace(LADDER, until=0.25)  # the best of those under other ideas of the noise
-RUNGS = (Rung(10**6, 1, 20, 4000, 2, 0.55), Rung(12, 2, 40, 8000, 1, 0.7), Rung(5, 3, 120, 20000, 1, 0.87))
-FULL = 2  # the first rung at which every fold judges
+RUNGS = (Rung(10**6, 1, 40, 4000, 4, 0.45), Rung(16, 1, 60, 8000, 2, 0.65), Rung(6, 2, 120, 20000, 1, 0.85))
+FULL = 3  # the first rung at which every fold judges
+AGAIN = 3  # times that the last rung has further starts, while there is time
 BASES = 3  # linear models from which networks are grown, the best ones
+LOW = (2, 3)  # orders of the linear models from which states are grown, beside the best one's
 RICH = 3  # order of one more at each stride
 STILL = 1e-3  # fall of the loss over ten epochs from which a model that is only compared is done
 DONE = 1e-7  # the same where the network is kept
@@ -86,7 +97,9 @@ class Model:
 
     @property
     def name(self) -> str:
-        return f"{self.form.name}, {self.orders}" + (", strong decay" if self.decay > DECAY else "")
+        usual = STATE[0] if self.form.states else DECAY
+        decay = "" if self.decay == usual or not self.decay else ", strong decay" if self.decay > usual else ", weak decay"
+        return f"{self.form.name}, {self.orders}{decay}"
 
     @property
     def line(self) -> "Model":
@@ -175,17 +188,17 @@ def interval(squares: np.ndarray) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def reach(task: Task, seen: Iterable[Mapping], deepest: int = max(ORDERS)) -> tuple[list[tuple[int, ...]], list[int]]:
+def reach(task: Task, seen: Iterable[Mapping], deepest: int = FEW) -> tuple[list[tuple[int, ...]], list[int]]:
     """Delays and strides to try. seen: of each recording, by `look`. deepest: an order for which a stride leaves room.
 
-    Delays around those that were seen, and none: which one is best shows only with a model.
+    The delays that were seen, others about them, and none: which one is best shows only with a model.
     """
     seen = list(seen)
     apart = min(max(s["stride"] for s in seen), max(task.settle // deepest, 1))
     names = [p.name for p in task.inputs]
     found = [min((s["delays"][n] for s in seen if s["delays"][n] is not None), default=0) for n in names]
-    delays = {tuple(max(d + shift, 0) for d in found) for shift in (-2, -1, 0, 1)} | {(0,) * len(names)}
-    return sorted(delays), sorted({1, apart})
+    delays = [tuple(max(d + shift, 0) for d in found) for shift in (0, -1, 1, -2)] + [(0,) * len(names)]
+    return list(dict.fromkeys(delays)), sorted({1, apart})
 
 
 class Halving:
@@ -193,29 +206,50 @@ class Halving:
 
     def __init__(self, task: Task, seconds: float, jobs: int, progress: Progress = silent):
         self.task, self.jobs, self.progress = task, jobs, progress
-        self.began, self.seconds = time(), seconds
+        self.clock, self.seconds = Clock(), seconds
         self.folds = task.folds()
         self.tried: dict[Model, Tried] = {}
 
-    def deadline(self, until: float = 1.0) -> float:
-        """The time at which that share of the limit is used."""
-        return self.began + until * self.seconds
+    def deadline(self, until: float = 1.0) -> Deadline:
+        """Where that share of the limit is used, for trainings side by side."""
+        return Deadline(self.clock, until * self.seconds, max(self.jobs, 1))
 
     def run(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
         """Try the linear models and what grows from them. Raises InputError if no linear model was finished."""
-        ladder = [Model(LINEAR, Orders(o, d, s)).line for o in ORDERS for s in strides for d in delays]
-        self.rung(0, LADDER, ladder)
-        if not self.tried:  # not one was finished in its share of the time: the simplest has it all
-            self.rung(0, replace(LADDER, until=RUNGS[-1].until), ladder[: self.jobs])
-        if self.tried and self.drifts():
-            self.lengthen(ladder, strides)
+        self.linear_models(delays, strides)
+        if not self.tried:
+            raise InputError("no linear model was finished in time; give more --seconds")
+        if self.drifts():
+            self.lengthen([t.model for t in self.ranked()], strides)
         self.rung(0, NOISES, self.noises())
-        # where time ends, every base has had the same
-        kinds = [(form, decay) for form in FORMS for decay in (DECAY, STRONG)]
-        models = [Model(form, o, decay) for form, decay in kinds for o in self.grown_from() if form.suits(o)]
+        models = self.networks()
         for number, rung in enumerate(RUNGS, 1):
             self.rung(number, rung, models[: rung.keep])
             models = [t.model for t in sorted(self.tried.values(), key=lambda t: t.typical) if t.rung == number]
+        if math.isfinite(self.seconds):
+            for seed in range(RUNGS[-1].seeds, RUNGS[-1].seeds + AGAIN):
+                last = replace(RUNGS[-1], first=seed, seeds=seed + 1)
+                self.rung(len(RUNGS), last, models[: last.keep])
+
+    def linear_models(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
+        """Orders at the delay that was seen, delays of the best orders; the best of all are fitted to their free run."""
+        self.rung(0, QUICK, [Model(LINEAR, o, 0.0) for o in ordered(delays[0], strides)])
+        best = [t.model.orders for t in self.ranked()[:LEADING]]
+        late = [Model(LINEAR, replace(o, delays=d), 0.0) for d in delays for o in best]
+        self.rung(0, QUICK, [m for m in late if m not in self.tried])
+        self.rung(0, LADDER, [t.model for t in self.ranked()[:LEADING]])
+
+    def networks(self) -> list[Model]:
+        """What grows from the linear models, the most promising first."""
+        found = [Model(form, o, decay) for decay in STATE for form in FORMS if form.states for o in self.spaces()]
+        kinds = [(form, decay) for form in FORMS if not form.states for decay in (DECAY, STRONG)]
+        return found + [Model(form, o, decay) for form, decay in kinds for o in self.grown_from() if form.suits(o)]
+
+    def spaces(self) -> list[Orders]:
+        """Taps of the linear models from which states are grown: of the best one, and of the best of low orders."""
+        found = [t.model.orders for t in self.ranked() if t.model.form == LINEAR and stays(t)]
+        low = [next((o for o in found if o.order == order), None) for order in LOW]
+        return list(dict.fromkeys([*found[:1], *(o for o in low if o)]))
 
     def lengthen(self, ladder: Sequence[Model], strides: Sequence[int]) -> None:
         """Try the linear models again where longer runs judge, longer windows train and an output may rest anywhere.
@@ -223,10 +257,11 @@ class Halving:
         Where time does not suffice for one of them, all stays as it is.
         """
         before, late, step = (self.task, self.folds, self.tried), self.ranked()[0].model.orders.delays, self.task.step
-        resting = [Model(LINEAR, Orders(o, late, s, step), 0.0) for s in strides for o in ORDERS[:-1]]
+        resting = [Model(LINEAR, Orders(o, late, s, step), 0.0) for s in strides for o in ORDERS[: FEW - 1]]
         self.task = replace(self.task, parts=HALVES)
         self.folds, self.tried = self.task.folds(), {}
-        self.rung(0, replace(LADDER, until=NOISES.until), [*resting, *ladder])
+        self.rung(0, replace(QUICK, until=NOISES.until), ladder)
+        self.rung(0, replace(LADDER, until=NOISES.until), [*resting, *(t.model for t in self.ranked()[:LEADING])])
         if not self.tried:
             self.task, self.folds, self.tried = before
 
@@ -267,7 +302,7 @@ class Halving:
         found = [base.model.orders for base in self.bases()]
         rich = [t.model.orders for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)]
         rich = [o for o in rich if o.order == RICH and not any(o.delays)]
-        return found + [o for o in rich if o not in found]
+        return list(dict.fromkeys([*found, *self.spaces(), *rich]))
 
     def ranked(self) -> list[Tried]:
         return sorted(self.tried.values(), key=lambda t: (t.error, t.parameters))
@@ -279,7 +314,8 @@ class Halving:
             place: replace(self.folds[place], pieces=thinned(self.folds[place].pieces, rung.samples, self.task))
             for place in range(0, len(self.folds), rung.every)
         }
-        tasks = [partial(judged, self.task, folds, m, self.tried.get(m.line), number, rung, until) for m in models]
+        known = [(m, self.tried.get(m.line), self.tried.get(m)) for m in models]
+        tasks = [partial(judged, self.task, folds, *of, number, rung, until) for of in known]
         for tried in children.workers(self.jobs, tasks, in_order=False):
             if tried is children.DIED:
                 raise InputError(children.KILLED)
@@ -306,8 +342,11 @@ class Halving:
         return sorted(self._last(), key=lambda t: (t.over(folds), t.parameters))
 
     def chosen(self) -> Tried:
-        """The best of the finalists; a simpler one that is as good wins."""
+        """The best of the finalists; a simpler one that is as good wins, and a linear one where that is not refuted."""
         ranked, folds = self.finalists(), self.shared()
+        lines = [t for t in ranked if t.model.form.linear]
+        if lines and sure_of(ranked[0], lines[0], folds) < SURE:
+            ranked = lines
         near = [t for t in ranked if t.over(folds) <= SIMPLER * ranked[0].over(folds)]
         return min(near, key=lambda t: (t.parameters, t.over(folds)))
 
@@ -327,7 +366,7 @@ class Halving:
         best = sound[:1] or sorted(best, key=lambda t: before[t.model])
         found: list[tuple[float, Tried, Trained]] = []
         for done, tried in enumerate(best):
-            left = self.deadline() - time()
+            left = self.deadline().left * max(self.jobs, 1)
             if found and left <= 0:
                 break
             fit = self.complete(tried, left / (len(best) - done))
@@ -364,7 +403,7 @@ class Halving:
             models = [Model(form, o, 0.0) for o in orders if 2 * o.deepest < shortest for form in forms]
             self.rung(0, ALONE, [m for m in models if m not in self.tried])
 
-        fitted(Orders(o, delays[0], s) for o in ORDERS for s in strides)
+        fitted(ordered(delays[0], strides))
         if not self.tried:
             raise InputError("the recordings are too short for a linear model")
         fitted(replace(self.ranked()[0].model.orders, delays=d) for d in delays)
@@ -377,34 +416,57 @@ class Halving:
         """A model fitted to everything, from what two of its folds have made of it; the lower loss wins."""
         records, starts = list(self.task.records.values()), list(tried.networks.values())
         starts, fits = starts[:: max(len(starts) // 2, 1)], []
-        until = time() + seconds
+        ends = process_time() + seconds
         for done, start in enumerate(starts):
-            share = time() + (until - time()) / (len(starts) - done)
+            share = (ends - process_time()) / (len(starts) - done)
             fits.append(refitted(tried.model, self.task, start, records, EPOCHS, share, DONE))
         return lowest(fits)
 
 
+def ordered(delay: tuple[int, ...], strides: Sequence[int]) -> list[Orders]:
+    """Every order of linear models of one delay, the lowest first."""
+    return [Orders(o, delay, s) for o in ORDERS for s in strides if s == 1 or o <= FEW]
+
+
 def judged(
-    task: Task, folds: Mapping[int, Fold], model: Model, line: Tried | None, number: int, rung: Rung, until: float
+    task: Task,
+    folds: Mapping[int, Fold],
+    model: Model,
+    line: Tried | None,
+    before: Tried | None,
+    number: int,
+    rung: Rung,
+    until: Deadline,
 ) -> Tried | None:
-    """The model, trained on the folds of a rung and judged; None if time is up before. line: what it is grown from."""
-    began = time()
-    if began > until:
+    """The model, trained on the folds of a rung and judged; None if time is up before.
+
+    line: what it is grown from. before: what the rung below has made of it.
+    """
+    began = process_time()
+    if not until.left > 0:
         return None
     networks, errors = {}, {}
     for place, fold in folds.items():
         grows = line.networks[place] if line else None
         if grows is None or model.form.linear:
-            fit = linear(task, model, grows, fold.pieces, rung, until)
+            fit = linear(task, model, grows, fold.pieces, rung, until.left)
         else:
-            fit = network(task, model, grows, fold.pieces, rung, until)
-        if fit.outcome is Outcome.TIME:
+            known = [before.networks[place]] if before and place in before.networks else []
+            fit = network(task, model, grows, known, fold.pieces, rung, until)
+        if fit is None or fit.outcome is Outcome.TIME:
             return None
         networks[place] = fit.network
         errors[place] = [task.errors(networks[place], block) for block in fold.blocks]
     if most(not stable(model, n, task) for n in networks.values()):
         errors = {place: [None] * len(of) for place, of in errors.items()}
-    return Tried(model, number, networks, errors, time() - began)
+    if until.clock:
+        until.clock.note()
+    return Tried(model, number, networks, errors, process_time() - began)
+
+
+def stays(tried: Tried) -> bool:
+    """Whether it runs, about a level."""
+    return np.isfinite(tried.error) and not tried.model.orders.integrating
 
 
 def most(of: Iterable[bool]) -> bool:
@@ -414,16 +476,18 @@ def most(of: Iterable[bool]) -> bool:
 
 
 def stable(model: Model, network: Network, task: Task) -> bool:
-    """Whether its own motions do not grow by e within the longest recording, as far as a linear loop says.
+    """Whether its own motions do not grow by e within the longest recording, as far as its linear loop says.
 
-    A model whose motions grow is of no use beyond what it was fitted to.
+    Its neurons are bounded: where they are at their bounds, beyond what it was trained on, the linear loop alone acts.
+    A model whose motions then grow is of no use.
     """
     longest = max(len(r) for r in task.records.values())
-    return not (model.form.loop_is_linear and -longest < falling(network, model.orders, task.output) < 0)
+    falls = falling(network, model.orders, task.output) if model.form.feedback else 0.0
+    return not -longest < falls < 0
 
 
 def linear(
-    task: Task, model: Model, line: Network | None, pieces: Sequence[Record], rung: Rung, until: float
+    task: Task, model: Model, line: Network | None, pieces: Sequence[Record], rung: Rung, seconds: float
 ) -> Trained:
     """The linear model under its idea of the noise. line: the output-error model of the same taps, if there is one.
 
@@ -433,7 +497,7 @@ def linear(
         start = summed(model, task, pieces)
     else:
         start = line or begun(model, task, pieces)
-    return refitted(model, task, start, pieces, rung.epochs, until)
+    return refitted(model, task, start, pieces, rung.epochs, seconds) if rung.epochs else as_it_is(start, pieces)
 
 
 def begun(model: Model, task: Task, pieces: Sequence[Record]) -> Network:
@@ -468,7 +532,7 @@ def refitted(
     start: Network,
     records: Sequence[Record],
     epochs: int,
-    until: float,
+    seconds: float,
     tolerance: float = STILL,
 ) -> Trained:
     """The model fitted to records from `start` on, in free run, or as its idea of the noise asks."""
@@ -478,16 +542,40 @@ def refitted(
             return replace(as_it_is(start, records), outcome=Outcome.TIME)
         return as_it_is(found, records)
     if model.form in (ARX, ARMAX, BJ):
-        left = max(until - time(), LEAST)
-        return estimated(model.form, model.orders, task.output, start, records, epochs, left)
-    return trained(start, records, epochs, model.decay, until, tolerance)
+        return estimated(model.form, model.orders, task.output, start, records, epochs, max(seconds, LEAST))
+    return trained(model, start, records, epochs, seconds, tolerance)
 
 
-def network(task: Task, model: Model, line: Network, pieces: Sequence[Record], rung: Rung, until: float) -> Trained:
-    """The network, grown from the linear one with each seed; the lowest loss wins."""
-    builds = (model.form.build(model.orders, task.inputs, task.output, seed) for seed in range(rung.seeds))
-    fits = [trained(grown(b, line), pieces, rung.epochs, model.decay, until) for b in builds]
-    return next((f for f in fits if f.outcome is Outcome.TIME), lowest(fits))
+def network(
+    task: Task,
+    model: Model,
+    line: Network,
+    known: Sequence[Network],
+    pieces: Sequence[Record],
+    rung: Rung,
+    until: Deadline,
+) -> Trained | None:
+    """The network, trained on from what is `known` of it or grown from the linear one with each seed.
+
+    The lowest loss of a stable one wins. None where nothing can be grown.
+    """
+    seeds = range(max(rung.first, len(known)), rung.seeds)
+    starts = [*known, *(seeded(task, model, line, pieces, seed) for seed in seeds)]
+    fits = [trained(model, start, pieces, rung.epochs, until.left) for start in starts if start]
+    if not fits:
+        return None
+    late = next((f for f in fits if f.outcome is Outcome.TIME), None)
+    return late or lowest([f for f in fits if stable(model, f.network, task)] or fits)
+
+
+def seeded(task: Task, model: Model, line: Network, pieces: Sequence[Record], seed: int) -> Network | None:
+    """The network as it grows from the linear model, whose neurons weigh next to nothing; None where it cannot."""
+    if not model.form.states:
+        return grown(model.form.build(model.orders, task.inputs, task.output, seed), line)
+    try:
+        return states(model.form, model.orders, task.inputs, task.output, line, pieces, seed)
+    except InputError:
+        return None
 
 
 def as_it_is(network: Network, records: Sequence[Record]) -> Trained:
@@ -496,10 +584,12 @@ def as_it_is(network: Network, records: Sequence[Record]) -> Trained:
 
 
 def trained(
-    start: Network, pieces: Sequence[Record], epochs: int, decay: float, until: float, tolerance: float = STILL
+    model: Model, start: Network, pieces: Sequence[Record], epochs: int, seconds: float, tolerance: float = STILL
 ) -> Trained:
-    left = max(until - time(), LEAST)
-    return train(start, pieces, estimate_initial=True, epochs=epochs, decay=decay, seconds=left, tolerance=tolerance)
+    """The model trained in free run from `start` on. seconds: of the processor."""
+    decay = pulled(start, model.decay) if model.form.states else model.decay
+    options = {"epochs": epochs, "decay": decay, "seconds": max(seconds, LEAST), "tolerance": tolerance}
+    return train(start, pieces, estimate_initial=True, clock=process_time, **options)
 
 
 def lowest(fits: Sequence[Trained]) -> Trained:

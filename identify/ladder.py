@@ -13,9 +13,11 @@ import numpy as np
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.network import Layer, Network, Port
 
+ROOM = 3.0  # deviations of a signal, which the scale of its port is
 SMALL = 1e-3  # largest weight of a neuron, in what reads it, before training
 NEURONS = "neurons"
 LOOP, SHOWN = "state", "shown"  # layers: the linear dynamics, and the output
+STATE, PAST = "states", "past"  # layer of a network of states, and its port of the state before
 RATE = "rate"  # layer: what an integrating model adds to its output in a sample
 
 
@@ -60,25 +62,22 @@ class Form:
     """A kind of network around the dynamics of a linear model.
 
     before: neurons of a curve of each input, ahead of the dynamics (Hammerstein). after: neurons of a curve of what the
-    dynamics give (Wiener). inside: neurons within the loop, which read the taps of `reads`. feedback: False for a model
-    that remembers inputs alone (FIR).
+    dynamics give (Wiener). inside: neurons within the loop, which read the taps of `reads`. states: neurons in the next
+    state of a network of states (identify/states.py); `after` are then in its output. feedback: False for a model that
+    remembers inputs alone (FIR).
     """
 
     name: str
     before: int = 0
     after: int = 0
     inside: int = 0
+    states: int = 0
     reads: str = "all"  # "all", "inputs" or "output"
     feedback: bool = True
 
     @property
     def linear(self) -> bool:
-        return not self.before + self.after + self.inside
-
-    @property
-    def loop_is_linear(self) -> bool:
-        """Whether the weights of its fed-back taps say if it is stable."""
-        return self.feedback and (not self.inside or self.reads == "inputs")
+        return not self.before + self.after + self.inside + self.states
 
     def suits(self, orders: Orders) -> bool:
         """Whether it may be grown from a linear model of these taps.
@@ -86,7 +85,7 @@ class Form:
         The rate of an integrating model may have a curve of each input now, and of itself, as friction is: what neurons
         of more than that get wrong is summed up for ever.
         """
-        return not (orders.integrating and self.inside and self.reads != "output")
+        return not (orders.integrating and (self.states or (self.inside and self.reads != "output")))
 
     def build(self, orders: Orders, inputs: Sequence[Port], output: Port, seed: int) -> Network:
         """The network with neurons that weigh next to nothing, and linear weights of zero."""
@@ -115,7 +114,7 @@ class Form:
         if self.after:
             _curve(network, loop, shown, self.after)
         network.connect(shown if self.after else loop, output.name)
-        return _shrunk(nguyen_widrow(network.check(), seed))
+        return shrunk(nguyen_widrow(network.check(), seed))
 
 
 def own(name: str, taken: Collection[str]) -> str:
@@ -134,11 +133,15 @@ def falling(network: Network, orders: Orders, output: Port) -> float:
 
     Of an integrating model: of its rate.
     """
-    loop = own(RATE if orders.integrating else LOOP, [p.name for p in (*network.inputs, output)])
-    weights = network.parameters()
-    denominator = [1.0, *(-float(weights[f"{loop}.{output.name}_z{d}"][0, 0]) for d in orders.feedback)]
-    largest = float(np.max(np.abs(np.roots(denominator)), initial=0.0))
-    return np.inf if largest == 1 else 0.0 if largest == 0 else -orders.stride / float(np.log(largest))
+    taken, weights = [p.name for p in (*network.inputs, output)], network.parameters()
+    loop = own(RATE if orders.integrating else LOOP, taken)
+    if (state := f"{own(STATE, taken)}.{own(PAST, taken)}") in weights:
+        motions, stride = np.linalg.eigvals(weights[state]), 1
+    else:
+        denominator = [1.0, *(-float(weights[f"{loop}.{output.name}_z{d}"][0, 0]) for d in orders.feedback)]
+        motions, stride = np.roots(denominator), orders.stride
+    largest = float(np.max(np.abs(motions), initial=0.0))
+    return np.inf if largest == 1 else 0.0 if largest == 0 else -stride / float(np.log(largest))
 
 
 def _curve(network: Network, source: str, name: str, neurons: int) -> None:
@@ -156,7 +159,7 @@ def _summed(network: Network, source: str, name: str, step: float, initial: floa
     network.add(name, level, {source: source, "before": (name, 1)})
 
 
-def _shrunk(network: Network) -> Network:
+def shrunk(network: Network) -> Network:
     """The network whose neurons weigh SMALL at most in what reads them."""
     feeds, layers = network.feeds(), network.layers()
     read = {
@@ -173,7 +176,8 @@ LINEAR = Form("OE")
 FIR, ARX, ARMAX, BJ = Form("FIR", feedback=False), Form("ARX"), Form("ARMAX"), Form("BJ")
 SUBSPACE = Form("subspace")
 SIZES = (3, 8)
-FORMS = tuple(
+STATES = tuple(Form(f"state space, {n} + {m} neurons", states=n, after=m) for n, m in ((3, 3), (8, 8), (3, 0), (8, 0)))
+FORMS = STATES + tuple(
     form
     for n in SIZES
     for form in (

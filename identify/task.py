@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.identify.ladder import LOOP, own
+from greygate.identify.ladder import LOOP, ROOM, own
 from greygate.identify.study import Fold, blocked
 from greygate.models.accuracy import float_error
 from greygate.models.network import Network, Port
@@ -14,7 +14,6 @@ from greygate.models.training.initial import initialised
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording
 
-ROOM = 3.0  # deviations of a signal, which the scale of its port is
 FOLDS = 8  # each holds out an eighth of every recording
 HALVES = 2  # folds where a free run over an eighth says little of one over everything
 LONGEST = 100  # samples that a state may settle in, if the user does not say: several times any model's states

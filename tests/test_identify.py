@@ -2,7 +2,6 @@
 
 import json
 import math
-import time
 from dataclasses import replace
 
 import joblib
@@ -14,6 +13,7 @@ from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.identify import halving
+from greygate.identify.clock import Clock, Deadline
 from greygate.identify.files import figures, identify, lines
 from greygate.identify.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, Orders, falling, grown
 from greygate.identify.linear import taught
@@ -171,9 +171,11 @@ def test_a_stretch_that_is_like_no_other_is_named(short):
 def test_a_model_that_time_does_not_suffice_for_is_left_untried(short):
     posed = task({"a": recorded(1)}, ["u"], "y")
     model, folds = halving.Model(LINEAR, Orders(1, (0,))).line, dict(enumerate(posed.folds()))
-    assert halving.judged(posed, folds, model, None, 0, halving.LADDER, 0.0) is None
-    hasty = halving.judged(posed, folds, model, None, 0, halving.LADDER, time.time() + 1e-3)
-    whole = halving.judged(posed, folds, model, None, 0, halving.LADDER, math.inf)
+    clock = Clock()
+    assert halving.judged(posed, folds, model, None, None, 0, halving.LADDER, Deadline(clock, 0.0)) is None
+    soon = Deadline(clock, clock.spent() + 1e-3)
+    hasty = halving.judged(posed, folds, model, None, None, 0, halving.LADDER, soon)
+    whole = halving.judged(posed, folds, model, None, None, 0, halving.LADDER, Deadline())
     assert hasty is None or hasty.error == whole.error
 
 
@@ -406,7 +408,7 @@ def test_a_model_whose_motions_grow_is_judged_as_one_that_diverges():
     wild = LINEAR.build(model.orders, posed.inputs, posed.output, 0).with_parameters({"state.y_z1": [[1.01]]})
     tried = halving.Tried(model, 0, dict.fromkeys(range(8), wild), {}, 0.0)
     rung = replace(halving.LADDER, epochs=0)
-    judged = halving.judged(posed, dict(enumerate(posed.folds())), model, tried, 0, rung, math.inf)
+    judged = halving.judged(posed, dict(enumerate(posed.folds())), model, tried, None, 0, rung, Deadline())
     assert judged.error == math.inf
     assert set(map(tuple, judged.errors.values())) == {(None,)}
 

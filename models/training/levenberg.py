@@ -95,6 +95,7 @@ def train(
     shooting: int | None = None,
     checkpoint: Path | str | None = None,
     keep: bool = False,
+    clock: Callable[[], float] = monotonic,
     progress: Progress = silent,
 ) -> Trained:
     """Train a network by Levenberg-Marquardt (Levenberg 1944, Marquardt 1963). The trained network is flat.
@@ -109,8 +110,8 @@ def train(
     held: held-out records. tail: the share at the end of each training record that is held out. What is held out is not
     trained on: the weights with the lowest error there are returned, and `patience` epochs without a lower one end the
     training.
-    goal: the loss at which to stop. seconds: the time after which to stop. tolerance: the training has converged when
-    ten epochs lower the loss relatively by less.
+    goal: the loss at which to stop. seconds: of `clock`, after which to stop. tolerance: the training has converged
+    when ten epochs lower the loss relatively by less.
     checkpoint: a file that is written every ten seconds, and from which the training resumes if it exists. A finished
     training removes it; with `keep` it stays, for whoever must save the result first.
     progress: told every epoch. Ctrl-C ends the training; the best weights so far are returned.
@@ -121,7 +122,7 @@ def train(
     >>> fit.outcome.name, fit.network.parameters()["memory.y"].round(6)
     ('CONVERGED', array([[0.9]]))
     """
-    began = monotonic()
+    began = clock()
     records, held = listed(records), listed(held)
     if epochs < 0:
         raise InputError(f"epochs {epochs}: give a number from 0 on")
@@ -135,8 +136,8 @@ def train(
 
     def descend(objective: Objective, epochs: int, goal: float = 0.0, checkpoint: Path | str | None = None) -> Trained:
         loss = Loss(objective, network, decay, rehearse or {})
-        left = seconds - (monotonic() - began)
-        trainer = LevenbergMarquardt(loss, judges, count > 0, bounds or {}, patience, tolerance, progress)
+        left = seconds - (clock() - began)
+        trainer = LevenbergMarquardt(loss, judges, count > 0, bounds or {}, patience, tolerance, progress, clock)
         return trainer.run(epochs, goal, left, Path(checkpoint) if checkpoint else None, keep)
 
     with blas().limit(limits=1, user_api="blas"):  # two BLAS threads are slower than one on matrices this small
@@ -152,7 +153,7 @@ def train(
         if found is None or found.outcome not in CUT_SHORT:
             objective = posed(found.network if found else network, used)
             found = descend(objective, epochs, goal, checkpoint)
-    return replace(found, seconds=monotonic() - began, remarks=(*found.remarks, *remarks(objective)))
+    return replace(found, seconds=clock() - began, remarks=(*found.remarks, *remarks(objective)))
 
 
 def stands(lowest: Sequence[float], window: int, tolerance: float) -> bool:
@@ -229,9 +230,10 @@ class LevenbergMarquardt:
         patience: int,
         tolerance: float,
         progress: Progress,
+        clock: Callable[[], float] = monotonic,
     ):
         self.loss, self.judges, self.tails = loss, judges, tails
-        self.patience, self.tolerance, self.progress = patience, tolerance, progress
+        self.patience, self.tolerance, self.progress, self.clock = patience, tolerance, progress, clock
         objective = self.objective = loss.objective
         if not len(objective.free):
             raise InputError(f"network {objective.flat.name}: nothing to train; no parameter is free")
@@ -241,7 +243,7 @@ class LevenbergMarquardt:
 
     def run(self, epochs: int, goal: float, seconds: float, checkpoint: Path | None, keep: bool) -> Trained:
         """Descend until one of the stops of `train`."""
-        began = saved = monotonic()
+        began, saved = self.clock(), monotonic()
         key = self._key() if checkpoint else ""
         resumed = checkpoint if checkpoint and checkpoint.exists() else None
         at = Checkpoint.load(resumed, key) if resumed else self._start()
@@ -264,7 +266,7 @@ class LevenbergMarquardt:
                     outcome = Outcome.EARLY
                 elif STOP.is_set():
                     outcome = Outcome.INTERRUPTED
-                elif monotonic() - began > seconds:
+                elif self.clock() - began > seconds:
                     outcome = Outcome.TIME
                 if checkpoint and monotonic() - saved > SAVE_EVERY:
                     at.save(checkpoint, key)
@@ -275,7 +277,7 @@ class LevenbergMarquardt:
             at.save(checkpoint, key)
         elif checkpoint:
             checkpoint.unlink(missing_ok=True)
-        return self._ended(at, outcome, monotonic() - began, remarks)
+        return self._ended(at, outcome, self.clock() - began, remarks)
 
     def _key(self) -> str:
         """What must be equal for a checkpoint to fit: records, options and start."""
@@ -368,7 +370,7 @@ def narx_noe(network: Network, records: Sequence[Record] | Record, narx_epochs: 
     shown = {feeds[p.name][0] for p in network.outputs}
     if not any(source in shown and delay for source, delay in feeds.values()):
         return train(network, records, **options)
-    names = ("decay", "free", "tied", "bounds", "seconds", "progress", "held", "tail")
+    names = ("decay", "free", "tied", "bounds", "seconds", "clock", "progress", "held", "tail")
     shared = {n: v for n, v in options.items() if n in names}
     path = options.get("checkpoint")
     if path:
