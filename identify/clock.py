@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import weakref
 from contextlib import suppress
 from dataclasses import dataclass
 from math import inf
@@ -16,17 +17,19 @@ class Clock:
     """
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="greygate-")
-        self.file, self.began = Path(self._folder.name, "seconds"), time()
+        number, name = tempfile.mkstemp(prefix="greygate-")
+        os.close(number)
+        self.file, self.began = Path(name), time()
+        weakref.finalize(self, _gone, self.file)
         self.note()
 
-    def __getstate__(self) -> dict:
-        return {"file": self.file, "began": self.began}
+    def __setstate__(self, state: dict) -> None:
+        self.__dict__ = state  # of a worker, which leaves the file
 
     def note(self) -> None:
         """Write down what this process has taken so far."""
         with suppress(OSError):
-            file = os.open(self.file, os.O_WRONLY | os.O_APPEND | (os.O_CREAT if hasattr(self, "_folder") else 0))
+            file = os.open(self.file, os.O_WRONLY | os.O_APPEND)
             try:
                 os.write(file, f"{os.getpid()} {process_time()!r}\n".encode())
             finally:
@@ -57,3 +60,8 @@ class Deadline:
     def left(self) -> float:
         """Seconds for this process alone."""
         return inf if self.clock is None or self.at == inf else (self.at - self.clock.spent()) / self.sharing
+
+
+def _gone(file: Path) -> None:
+    with suppress(OSError):
+        file.unlink()

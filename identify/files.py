@@ -1,6 +1,7 @@
 """From files to files: `greygate identify`."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -55,6 +56,7 @@ class IdentifiedFacts(TypedDict):
     confidence: Confidence
     models: list[Row]
     tried: Count
+    untried: Annotated[dict[str, Count], "Kind of model -> how many of it there was no time for."]
     settle: Count
     seconds: float
     recordings: dict[str, Seen]
@@ -128,6 +130,7 @@ def figures(found: Identified) -> IdentifiedFacts:
         },
         "models": [_row(t, tried, folds) for tried in finalists],
         "tried": len(search.tried),
+        "untried": dict(Counter(model.form.name for model in search.untried)),
         "settle": t.settle,
         "seconds": round(found.seconds, 1),
         "recordings": found.seen,
@@ -158,6 +161,9 @@ def lines(found: IdentifiedFacts) -> list[str]:
         )
     if len(found["models"]) > SHOWN:
         rows.append(f"  and {len(found['models']) - SHOWN} more; all are in the .json")
+    if found["untried"]:
+        kinds = ", ".join(f"{count} of {kind}" for kind, count in found["untried"].items())
+        rows.append(f"  not tried, for want of --seconds: {kinds}")
     low, high = found["held_out_interval"]
     several = len(found["recordings"]) > 1
     told = [f"{n}: {r}" if several else r for n, seen in found["recordings"].items() for r in seen["remarks"]]

@@ -72,12 +72,12 @@ class Rung:
     first: int = 0
 
 
-QUICK = Rung(10**6, 1, 0, 8000, 1, 0.15)  # linear models by least squares and by the subspace
-LADDER = Rung(10**6, 1, 60, 8000, 1, 0.2)
+QUICK = Rung(10**6, 1, 0, 8000, 1, 0.2)  # linear models by least squares and by the subspace
+LADDER = Rung(10**6, 1, 60, 8000, 1, 0.25)
 LEADING = 4  # of the linear models, that are then fitted to their free run
 ALONE = replace(LADDER, epochs=20, every=2)  # where nothing grows from the linear models: the best one is fitted anew
-NOISES = replace(LADDER, until=0.25)  # the best of those under other ideas of the noise
-RUNGS = (Rung(10**6, 1, 40, 4000, 4, 0.45), Rung(16, 1, 60, 8000, 2, 0.65), Rung(6, 2, 120, 20000, 1, 0.85))
+NOISES = replace(LADDER, until=0.3)  # the best of those under other ideas of the noise
+RUNGS = (Rung(10**6, 1, 40, 4000, 4, 0.5), Rung(16, 1, 60, 8000, 2, 0.67), Rung(6, 2, 120, 20000, 1, 0.85))
 FULL = 3  # the first rung at which every fold judges
 AGAIN = 3  # times that the last rung has further starts, while there is time
 BASES = 3  # linear models from which networks are grown, the best ones
@@ -98,7 +98,9 @@ class Model:
     @property
     def name(self) -> str:
         usual = STATE[0] if self.form.states else DECAY
-        decay = "" if self.decay == usual or not self.decay else ", strong decay" if self.decay > usual else ", weak decay"
+        decay = (
+            "" if self.decay == usual or not self.decay else ", strong decay" if self.decay > usual else ", weak decay"
+        )
         return f"{self.form.name}, {self.orders}{decay}"
 
     @property
@@ -209,6 +211,12 @@ class Halving:
         self.clock, self.seconds = Clock(), seconds
         self.folds = task.folds()
         self.tried: dict[Model, Tried] = {}
+        self.late: set[Model] = set()
+
+    @property
+    def untried(self) -> list[Model]:
+        """Models for which there was no time."""
+        return sorted(self.late - set(self.tried), key=lambda m: m.name)
 
     def deadline(self, until: float = 1.0) -> Deadline:
         """Where that share of the limit is used, for trainings side by side."""
@@ -316,6 +324,7 @@ class Halving:
         }
         known = [(m, self.tried.get(m.line), self.tried.get(m)) for m in models]
         tasks = [partial(judged, self.task, folds, *of, number, rung, until) for of in known]
+        self.late.update(models)
         for tried in children.workers(self.jobs, tasks, in_order=False):
             if tried is children.DIED:
                 raise InputError(children.KILLED)
@@ -450,10 +459,12 @@ def judged(
         grows = line.networks[place] if line else None
         if grows is None or model.form.linear:
             fit = linear(task, model, grows, fold.pieces, rung, until.left)
+            if fit.outcome is Outcome.TIME:
+                return None
         else:
             known = [before.networks[place]] if before and place in before.networks else []
             fit = network(task, model, grows, known, fold.pieces, rung, until)
-        if fit is None or fit.outcome is Outcome.TIME:
+        if fit is None:
             return None
         networks[place] = fit.network
         errors[place] = [task.errors(networks[place], block) for block in fold.blocks]
@@ -555,17 +566,17 @@ def network(
     rung: Rung,
     until: Deadline,
 ) -> Trained | None:
-    """The network, trained on from what is `known` of it or grown from the linear one with each seed.
+    """The network, trained on from what is `known` of it or grown from the linear one with each seed, as time allows.
 
     The lowest loss of a stable one wins. None where nothing can be grown.
     """
     seeds = range(max(rung.first, len(known)), rung.seeds)
     starts = [*known, *(seeded(task, model, line, pieces, seed) for seed in seeds)]
-    fits = [trained(model, start, pieces, rung.epochs, until.left) for start in starts if start]
-    if not fits:
-        return None
-    late = next((f for f in fits if f.outcome is Outcome.TIME), None)
-    return late or lowest([f for f in fits if stable(model, f.network, task)] or fits)
+    fits: list[Trained] = []
+    for start in filter(None, starts):
+        if (left := until.left) > 0:
+            fits.append(trained(model, start, pieces, rung.epochs, left))
+    return lowest([f for f in fits if stable(model, f.network, task)] or fits) if fits else None
 
 
 def seeded(task: Task, model: Model, line: Network, pieces: Sequence[Record], seed: int) -> Network | None:
