@@ -233,8 +233,9 @@ def main(*name: Annotated[str, PLANTS], seconds: float = 60.0, seed: int = 1) ->
     for one in name or PLANTS:
         found = found_by(one, seconds, seed)
         keep("next_day", f"{one}, {seconds:g} s", found, one, "--seconds", f"{seconds:g}")
+        ratio, (low, line) = found["other_day"] / found["linear"], (found["held_out"], found["linear_held_out"])
         say(
-            f"{one:12} {found['other_day']:10.4g} linear {found['linear']:10.4g} "
-            f"ratio {found['other_day'] / found['linear']:6.3f} held {found['held_out']:9.4g}/{found['linear_held_out']:9.4g}"
-            f" {found['seconds']:5.0f} s {found['tried']} {found['chosen']} | {found['linear_model']}"
+            f"{one:12} {found['other_day']:10.4g} linear {found['linear']:10.4g} ratio {ratio:6.3f} "
+            f"held {low:9.4g}/{line:9.4g} {found['seconds']:5.0f} s {found['tried']} {found['chosen']} | "
+            f"{found['linear_model']}"
         )

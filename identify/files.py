@@ -12,7 +12,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
-from greygate.identify.halving import WORSE, Halving, Tried, interval, reach, segments, sure_of
+from greygate.identify.halving import WORSE, Halving, Tried, interval, reach, segments, sure_of, warm
 from greygate.identify.looking import Seen, look
 from greygate.identify.task import Task, task
 from greygate.models.accuracy import rms
@@ -89,12 +89,14 @@ def identify(
     progress: Progress = silent,
 ) -> Identified:
     """Find a network of one output from recordings. Raises InputError as `task` and `Halving`."""
-    began = process_time()
     first = next(iter(recordings.values()))
     for other in (*recordings.values(), *tests.values()):
         if not same(other.dt, first.dt):
             raise InputError(f"{other.source}: sampled every {other.dt:g} s, {first.source} every {first.dt:g} s")
     posed = task(recordings, inputs, output, settle)
+    progress("loading what trains networks")
+    warm(posed)
+    began = process_time()
     seen = {name: look(r, inputs, output) for name, r in recordings.items()}
     search = Halving(posed, seconds - (process_time() - began), jobs, progress)
     search.run(*reach(posed, seen.values()))

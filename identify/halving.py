@@ -47,6 +47,7 @@ STATE = (0.03, 1.0, 1e-3)  # decays of a state space's neurons, whose signals ar
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
 SURE = 0.95  # that a network is better than every linear model, from which it is chosen
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
+FEWEST = 20  # samples, from which something may be fitted at all
 LEAST = 0.1  # s that a training has, where its rung has just run out of time
 DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
 SEGMENTS = 4  # of a held-out block: its errors are resampled in runs, because neighbours are alike
@@ -240,7 +241,7 @@ class Halving:
                 self.rung(len(RUNGS), last, models[: last.keep])
 
     def linear_models(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
-        """Orders at the delay that was seen, delays of the best orders; the best of all are fitted to their free run."""
+        """Orders at the delay that was seen, delays of the best orders; the best are fitted to their free run."""
         self.rung(0, QUICK, [Model(LINEAR, o, 0.0) for o in ordered(delays[0], strides)])
         best = [t.model.orders for t in self.ranked()[:LEADING]]
         late = [Model(LINEAR, replace(o, delays=d), 0.0) for d in delays for o in best]
@@ -430,6 +431,14 @@ class Halving:
             share = (ends - process_time()) / (len(starts) - done)
             fits.append(refitted(tried.model, self.task, start, records, EPOCHS, share, DONE))
         return lowest(fits)
+
+
+def warm(task: Task) -> None:
+    """Load what trains networks, or compile it where that was never done here: no search is to pay for it."""
+    record = next(iter(task.records.values()))
+    model, pieces = Model(LINEAR, Orders(1, (0,) * len(task.inputs)), 0.0), [record.cut(0, FEWEST, skip=0)]
+    start = taught(model.form.build(model.orders, task.inputs, task.output, 0), pieces).network
+    trained(model, start, pieces, 1, math.inf)
 
 
 def ordered(delay: tuple[int, ...], strides: Sequence[int]) -> list[Orders]:

@@ -92,8 +92,9 @@ def test_states_hold_a_curve_between_two_filters():
 
 def test_only_neurons_and_what_reads_them_are_pulled_to_zero():
     posed = task({"a": recorded(1)}, ["u", "w"], "y")
-    network = states(Form("x", states=3, after=2), Orders(2, (0, 0)), posed.inputs, posed.output,
-                     line(posed, Orders(2, (0, 0)), **{"state.u_z0": 1.0, "state.y_z1": 0.5}), [*posed.records.values()], 0)  # fmt: skip
+    orders, records = Orders(2, (0, 0)), [*posed.records.values()]
+    linear = line(posed, orders, **{"state.u_z0": 1.0, "state.y_z1": 0.5})
+    network = states(Form("x", states=3, after=2), orders, posed.inputs, posed.output, linear, records, 0)
     assert pulled(network, 0.5) == dict.fromkeys(
         ["states_neurons", "neurons", "states.states_neurons", "state.neurons"], 0.5
     )
@@ -102,10 +103,8 @@ def test_only_neurons_and_what_reads_them_are_pulled_to_zero():
 def test_states_that_grow_are_judged_as_a_model_that_diverges():
     posed = task({"a": recorded(1)}, ["u", "w"], "y")
     model = halving.Model(SPACES[0], Orders(1, (0, 0)))
-    network = states(
-        model.form, model.orders, posed.inputs, posed.output, line(posed, model.orders, **{"state.u_z0": 1.0, "state.y_z1": 0.5}),
-        [*posed.records.values()], 0,
-    )  # fmt: skip
+    linear, records = line(posed, model.orders, **{"state.u_z0": 1.0, "state.y_z1": 0.5}), [*posed.records.values()]
+    network = states(model.form, model.orders, posed.inputs, posed.output, linear, records, 0)
     assert halving.stable(model, network, posed)
     assert not halving.stable(model, network.with_parameters({"states.past": [[1.2]]}), posed)
 
