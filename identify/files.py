@@ -2,7 +2,8 @@
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
@@ -11,7 +12,7 @@ from typing import Annotated, NotRequired, TypedDict
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.files import replaceable, replacing_folder
+from greygate.files import replaceable, replacing, replacing_folder
 from greygate.identify.halving import WORSE, Halving, Tried, interval, reach, segments, sure_of, warm
 from greygate.identify.looking import Seen, look
 from greygate.identify.task import Task, task
@@ -209,12 +210,14 @@ def identify_files(
     seconds: float,
     jobs: int,
     settle: int | None,
+    html: Path | None = None,
+    page: Callable[[Identified, IdentifiedFacts], str] | None = None,
     progress: Progress = silent,
 ) -> IdentifiedFacts:
     """Identify from CSV files and write OUT/NAME.toml, .safetensors, .json and recordings of canonical form.
 
-    OUT is written completely or not at all; it replaces what an earlier search wrote there, and nothing else. Returns
-    the figures. Raises InputError before anything is written.
+    OUT is written completely or not at all; it replaces what an earlier search wrote there, and nothing else. html: a
+    page to write, which `page` makes. Returns the figures. Raises InputError before anything is written.
     """
     if both := set(files) & set(tests):
         raise InputError(f"{min(both)} is both a recording to train on and one to test on; rename one of them")
@@ -237,7 +240,9 @@ def identify_files(
             recording[channel]  # raises InputError for an unknown name
             if recording.units[channel] != first.units[channel]:
                 raise InputError(f"{recording.source}: {channel} is in another unit than in {first.source}")
-    with replacing_folder(out, KIND) as new:
+    with ExitStack() as place:
+        new = place.enter_context(replacing_folder(out, KIND))
+        drawn = None if html is None else place.enter_context(replacing(html))  # before a minute of work, not after
         found = identify(
             read_in, inputs, output, read_tests, seconds=seconds, jobs=jobs, settle=settle, progress=progress
         )
@@ -247,6 +252,8 @@ def identify_files(
         for label, recording in {**read_in, **read_tests}.items():
             of = Recording(recording.dt, {c: recording[c] for c in used}, {c: recording.units[c] for c in used})
             of.write_csv(new / f"{label}.csv")
+        if drawn is not None and page is not None:
+            drawn.write_text(page(found, kept), encoding="utf-8")
     records = " ".join(f"{out / n}.csv" for n in read_in)
     file = out / f"{name}.toml"
     return plain(

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import joblib
@@ -136,9 +137,24 @@ def test_the_command_writes_a_network_that_validates_and_compiles(short, greygat
         rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(rec["u"].tolist(), rec["y"].tolist(), strict=True))
         (tmp_path / f"run{seed}.csv").write_text("valve,level_m\n" + rows)
     call = ["identify", "run1.csv", "--input", "valve", "--output", "level", "--sample-time", "0.1"]
-    code, printed, _ = greygate(*call, "--test", "run2.csv", "--out", "mine", "--json")
+    code, _, error = greygate(*call, "--out", "mine", "--html", "no/folder/page.html")
+    assert (code, "no/folder" in error, (tmp_path / "mine").exists()) == (2, True, False)
+    code, printed, _ = greygate(*call, "--test", "run2.csv", "--out", "mine", "--html", "page.html", "--json")
     assert code == 0
     told = json.loads(printed)
+    html = re.sub(r"<script>/\*.*?</script>", "", (tmp_path / "page.html").read_text(), flags=re.S)
+    assert "://" not in html
+    assert "<h1>A model of level</h1>" in html
+    assert all(f">{row['model']}" in html for row in told["models"])
+    assert f"{told['chosen']['model']}*" in html
+    assert html.count('<path class="line dot') == len(told["models"])
+    drawn = [json.loads(text) for text in re.findall(r'<script type="application/json">(.*?)</script>', html)]
+    line = next(row["model"] for row in told["models"] if row["model"].startswith("OE"))
+    assert [list(d["traces"])[:2] for d in drawn] == [["measured", "chosen"]] * 2  # of the recording and of the test
+    assert all("error" in d["traces"] and len(d["traces"]) in (4, 5) for d in drawn)
+    assert line in drawn[0]["traces"] or len(drawn[0]["traces"]) == 4
+    assert "<h3>Poles and frequency response</h3>" in html
+    assert "level on run2" in html  # residual tests
     assert told["unit"] == "m"
     assert json.loads((tmp_path / "mine" / "mine.json").read_text())["chosen"] == told["chosen"]
     network = Network.load("mine/mine.toml")

@@ -178,26 +178,31 @@ def identify(
     test: Annotated[list[str], words.TEST] = [],
     sample_time: Annotated[float | None, words.SAMPLE_TIME] = None,
     settle: Annotated[str, words.SETTLE] = words.AUTO,
-    seconds: Annotated[float, words.OF_PROCESSOR] = 60.0,
+    seconds: Annotated[float, words.SECONDS] = 60.0,
     jobs: words.Jobs = 2,
     backend: OnBackend = Backend.LOKY,
     scheduler: Scheduler = None,
+    html: Annotated[Path | None, typer.Option(metavar="FILE.html", help="HTML page: models, runs, residuals.")] = None,
     as_json: Json = False,
 ) -> None:
     """Find a network from recordings alone.
 
-    It fits linear models, grows networks from the best, and chooses by held-out blocks. Exit code 1 if no network
-    predicts better than the mean of what was held out, or the chosen one diverges on a test.
+    It fits linear models, grows networks from the best, and chooses by held-out blocks; its seconds are those of the
+    processor, over all processes. Exit code 1 if no network predicts better than the mean of what was held out, or the
+    chosen one diverges on a test.
     """
     from greygate.identify.files import identify_files, lines
+    from greygate.pages.identified import page
 
     side_by_side = jobs if backend is Backend.LOKY else -1
     with joblib_on(backend, scheduler), following("identifying") as progress:
         found = identify_files(
             recordings(record), recordings(test), input, output, out,
-            dt=sample_time, seconds=seconds, jobs=side_by_side, settle=words.settled(settle), progress=progress,
+            dt=sample_time, seconds=seconds, jobs=side_by_side, settle=words.settled(settle), html=html,
+            page=page, progress=progress,
         )  # fmt: skip
-    told = [*lines(found), f"written to {found['out']}", *(f"next: {n}" for n in found["next"])]
+    written = [f"written to {path}" for path in (found["out"], html) if path is not None]
+    told = [*lines(found), *written, *(f"next: {n}" for n in found["next"])]
     predicts = found["better_than_mean"] and all(error is not None for error in found["test"].values())
     give("identify", found, as_json, told, predicts)
 
