@@ -46,6 +46,7 @@ STRONG = 3e-2  # the same for recordings whose noise would be learnt with DECAY
 STATE = (0.03, 1.0, 1e-3)  # decays of a state space's neurons, whose signals are spread alike: they are worth more
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
 SURE = 0.95  # that a network is better than every linear model, from which it is chosen
+SPOILT = 1.1  # factor of the error over everything by which a fit to everything may be worse than one to a part
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
 FEWEST = 20  # samples, from which something may be fitted at all
 LEAST = 0.1  # s that a training has, where its rung has just run out of time
@@ -209,7 +210,7 @@ class Halving:
 
     def __init__(self, task: Task, seconds: float, jobs: int, progress: Progress = silent):
         self.task, self.jobs, self.progress = task, jobs, progress
-        self.clock, self.seconds = Clock(), seconds
+        self.clock, self.seconds, self.loaded = Clock(), seconds, 0.0
         self.folds = task.folds()
         self.tried: dict[Model, Tried] = {}
         self.late: set[Model] = set()
@@ -220,11 +221,18 @@ class Halving:
         return sorted(self.late - set(self.tried), key=lambda m: m.name)
 
     def deadline(self, until: float = 1.0) -> Deadline:
-        """Where that share of the limit is used, for trainings side by side."""
-        return Deadline(self.clock, until * self.seconds, max(self.jobs, 1))
+        """Where that share of what there was to search in is used, for trainings side by side."""
+        return Deadline(self.clock, self.loaded + until * (self.seconds - self.loaded), max(self.jobs, 1))
+
+    def load(self) -> None:
+        """Start the processes, and note what that takes: no share of the search is to pay for it."""
+        list(children.workers(self.jobs, [partial(warm, self.task, self.clock)] * max(self.jobs, 1)))
+        if math.isfinite(self.seconds):
+            self.loaded = min(self.clock.spent(), self.seconds / 2)
 
     def run(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
         """Try the linear models and what grows from them. Raises InputError if no linear model was finished."""
+        self.load()
         self.linear_models(delays, strides)
         if not self.tried:
             raise InputError("no linear model was finished in time; give more --seconds")
@@ -255,10 +263,11 @@ class Halving:
         return found + [Model(form, o, decay) for form, decay in kinds for o in self.grown_from() if form.suits(o)]
 
     def spaces(self) -> list[Orders]:
-        """Taps of the linear models from which states are grown: of the best one, and of the best of low orders."""
-        found = [t.model.orders for t in self.ranked() if t.model.form == LINEAR and stays(t)]
-        low = [next((o for o in found if o.order == order), None) for order in LOW]
-        return list(dict.fromkeys([*found[:1], *(o for o in low if o)]))
+        """Taps of the linear models from which states are grown: the best one, of each kind, and of low orders."""
+        found = [t.model.orders for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)]
+        stay, drift = ([o for o in found if o.integrating is kind] for kind in (False, True))
+        low = [[o for o in stay if o.order == order] for order in LOW]
+        return list(dict.fromkeys(o for of in (found, drift, stay, *low) for o in of[:1]))
 
     def lengthen(self, ladder: Sequence[Model], strides: Sequence[int]) -> None:
         """Try the linear models again where longer runs judge, longer windows train and an output may rest anywhere.
@@ -381,7 +390,7 @@ class Halving:
                 break
             fit = self.complete(tried, left / (len(best) - done))
             error = self.whole(fit.network) if stable(tried.model, fit.network, self.task) else np.inf
-            if before[tried.model] < error:  # more data have made it worse: as its first fold left it
+            if SPOILT * before[tried.model] < error:  # more data have made it worse: as its first fold left it
                 error, fit = before[tried.model], replace(fit, network=tried.first, initial=())
             found.append((error, tried, fit))
         error, tried, fit = min(found, key=lambda f: f[0])
@@ -433,12 +442,16 @@ class Halving:
         return lowest(fits)
 
 
-def warm(task: Task) -> None:
-    """Load what trains networks, or compile it where that was never done here: no search is to pay for it."""
+def warm(task: Task, clock: Clock | None = None) -> None:
+    """Load what trains networks, or compile it where that was never done here; note what that takes."""
+    if clock:
+        clock.note()
     record = next(iter(task.records.values()))
     model, pieces = Model(LINEAR, Orders(1, (0,) * len(task.inputs)), 0.0), [record.cut(0, FEWEST, skip=0)]
     start = taught(model.form.build(model.orders, task.inputs, task.output, 0), pieces).network
     trained(model, start, pieces, 1, math.inf)
+    if clock:
+        clock.note()
 
 
 def ordered(delay: tuple[int, ...], strides: Sequence[int]) -> list[Orders]:
@@ -482,11 +495,6 @@ def judged(
     if until.clock:
         until.clock.note()
     return Tried(model, number, networks, errors, process_time() - began)
-
-
-def stays(tried: Tried) -> bool:
-    """Whether it runs, about a level."""
-    return np.isfinite(tried.error) and not tried.model.orders.integrating
 
 
 def most(of: Iterable[bool]) -> bool:

@@ -85,7 +85,7 @@ class Form:
         The rate of an integrating model may have a curve of each input now, and of itself, as friction is: what neurons
         of more than that get wrong is summed up for ever.
         """
-        return not (orders.integrating and (self.states or (self.inside and self.reads != "output")))
+        return not (orders.integrating and self.inside and self.reads != "output")
 
     def build(self, orders: Orders, inputs: Sequence[Port], output: Port, seed: int) -> Network:
         """The network with neurons that weigh next to nothing, and linear weights of zero."""
@@ -110,7 +110,7 @@ class Form:
             weights[neurons], ports = np.zeros((1, self.inside)), ports | {neurons: (neurons, 0)}
         network.add(dynamics, Layer(weights, [0.0], initial=0.0 if orders.integrating else output.rest), ports)
         if orders.integrating:
-            _summed(network, rate, loop, orders.step, output.rest)
+            summed(network, rate, loop, orders.step, output.rest)
         if self.after:
             _curve(network, loop, shown, self.after)
         network.connect(shown if self.after else loop, output.name)
@@ -152,7 +152,7 @@ def _curve(network: Network, source: str, name: str, neurons: int) -> None:
     network.add(name, joined, {"itself": source, hidden: hidden})
 
 
-def _summed(network: Network, source: str, name: str, step: float, initial: float) -> None:
+def summed(network: Network, source: str, name: str, step: float, initial: float) -> None:
     """Layer `name`: the sum of a signal over all samples, `step` for each 1 of it."""
     weights = {source: [[step]], "before": [[1.0]]}
     level = Layer(weights, [0.0], initial=initial, frozen={*weights, "bias"})

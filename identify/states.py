@@ -5,7 +5,8 @@
 
 It begins as a linear model of the ladder in other coordinates, in which every state moves as much as its signals do
 (Schoukens 2021, Paduart 2010): neurons are then trained far more easily than between taps, which are nearly alike. A
-model whose taps stand some samples apart is carried to one sample by the root of its matrix.
+model whose taps stand some samples apart is carried to one sample by the root of its matrix. Of an integrating model,
+y(k) is what its output adds in a sample.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ import numpy as np
 from scipy.linalg import fractional_matrix_power, solve_discrete_lyapunov
 
 from greygate.errors import InputError
-from greygate.identify.ladder import LOOP, NEURONS, PAST, ROOM, STATE, Form, Orders, own, shrunk
+from greygate.identify.ladder import LOOP, NEURONS, PAST, RATE, ROOM, STATE, Form, Orders, own, shrunk, summed
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.record import Record
@@ -58,7 +59,10 @@ def states(
         reads = {name: np.zeros((form.after, count)), **{port: np.zeros((form.after, 1)) for port in now}}
         network.add(outer, Layer(reads, np.zeros(form.after), "tansig"), feeds)
         weights, feeds = weights | {outer: np.zeros((1, form.after))}, feeds | {outer: (outer, 0)}
-    network.add(loop, Layer(weights, [space.level]), feeds)
+    rate = own(RATE, taken)
+    network.add(rate if orders.integrating else loop, Layer(weights, [space.level]), feeds)
+    if orders.integrating:
+        summed(network, rate, loop, orders.step, output.rest)
     network.connect(loop, output.name)
     return shrunk(nguyen_widrow(network.check(), seed))
 
@@ -77,7 +81,7 @@ def realised(line: Network, orders: Orders, inputs: Sequence[Port], output: Port
     Raises InputError where a root of its matrix is not real.
     """
     values = line.parameters()
-    loop = own(LOOP, [p.name for p in (*inputs, output)])
+    loop = own(RATE if orders.integrating else LOOP, [p.name for p in (*inputs, output)])
     poles = np.array([float(values[f"{loop}.{output.name}_z{d}"][0, 0]) for d in orders.feedback])
     taps = [
         [float(values[f"{loop}.{p.name}_z{d}"][0, 0]) for d in delays] for p, delays in orders.inputs(inputs).items()
