@@ -237,7 +237,7 @@ class Halving:
         if not self.tried:
             raise InputError("no linear model was finished in time; give more --seconds")
         if self.drifts():
-            self.lengthen([t.model for t in self.ranked()], strides)
+            self.lengthen([t.model for t in self.ranked()], strides, delays)
         self.rung(0, NOISES, self.noises())
         models = self.networks()
         for number, rung in enumerate(RUNGS, 1):
@@ -269,13 +269,14 @@ class Halving:
         low = [[o for o in stay if o.order == order] for order in LOW]
         return list(dict.fromkeys(o for of in (found, drift, stay, *low) for o in of[:1]))
 
-    def lengthen(self, ladder: Sequence[Model], strides: Sequence[int]) -> None:
+    def lengthen(self, ladder: Sequence[Model], strides: Sequence[int], delays: Sequence[tuple[int, ...]] = ()) -> None:
         """Try the linear models again where longer runs judge, longer windows train and an output may rest anywhere.
 
         Where time does not suffice for one of them, all stays as it is.
         """
-        before, late, step = (self.task, self.folds, self.tried), self.ranked()[0].model.orders.delays, self.task.step
-        resting = [Model(LINEAR, Orders(o, late, s, step), 0.0) for s in strides for o in ORDERS[: FEW - 1]]
+        before, step = (self.task, self.folds, self.tried), self.task.step
+        late = dict.fromkeys([self.ranked()[0].model.orders.delays, *delays[:3]])
+        resting = [Model(LINEAR, Orders(o, d, s, step), 0.0) for d in late for s in strides for o in ORDERS[: FEW - 1]]
         self.task = replace(self.task, parts=HALVES)
         self.folds, self.tried = self.task.folds(), {}
         self.rung(0, replace(QUICK, until=NOISES.until), ladder)
@@ -427,7 +428,7 @@ class Halving:
             raise InputError("the recordings are too short for a linear model")
         fitted(replace(self.ranked()[0].model.orders, delays=d) for d in delays)
         if self.drifts():
-            self.lengthen([t.model for t in self.ranked()], strides)
+            self.lengthen([t.model for t in self.ranked()], strides, delays)
         if not (best := self.ranked()[0].model.orders).integrating:
             fitted([best], [ARX, ARMAX, BJ, *[SUBSPACE] * (best.stride == 1)])
 
