@@ -27,9 +27,10 @@ from greygate.identify.halving import (
     pooled,
     reach,
     refitted,
+    seeded,
     thinned,
 )
-from greygate.identify.ladder import FORMS, Orders, grown
+from greygate.identify.ladder import FORMS, Orders
 from greygate.identify.looking import look
 from greygate.identify.task import Task, started, task
 from greygate.models.training.record import Record
@@ -148,8 +149,8 @@ def tuned(name: str) -> dict:
     def fit(model: Model, seed: int, records: Sequence[Record]):
         pieces = thinned(records, LARGEST, asked)
         line = refitted(model.line, asked, begun(model.line, asked, pieces), pieces, LADDER.epochs, math.inf)
-        network = grown(model.form.build(model.orders, asked.inputs, asked.output, seed), line.network)
-        return refitted(model, asked, network, pieces, EPOCHS, math.inf).network
+        network = seeded(asked, model, line.network, pieces, seed)
+        return refitted(model, asked, network or line.network, pieces, EPOCHS, math.inf).network
 
     def error(network, records: Sequence[Record]) -> float:
         return pooled([asked.errors(network, r) for r in records])
