@@ -93,10 +93,9 @@ def task(recordings: Mapping[str, Recording], inputs: Sequence[str], output: str
     def port(name: str) -> Port:
         return scaled(name, first.units[name], joined[name])
 
-    length = min(r.samples for r in recordings.values())
-    asked = settle if settle is not None else min(length // (FOLDS * SETTLING), LONGEST)
-    if length < FOLDS * SETTLING * max(asked, 5):
-        least = FOLDS * SETTLING * max(asked, 5)
-        raise InputError(f"{first.source}: {length} samples; give at least {least} in each recording")
+    shortest = min(recordings.values(), key=lambda r: r.samples)
+    asked = settle if settle is not None else min(shortest.samples // (FOLDS * SETTLING), LONGEST)
+    if shortest.samples < (least := FOLDS * SETTLING * max(asked, 5)):
+        raise InputError(f"{shortest.source}: {shortest.samples} samples; give at least {least} in each recording")
     found = Task(tuple(port(n) for n in inputs), port(output), {}, asked)
     return replace(found, records={n: found.record(r) for n, r in recordings.items()})

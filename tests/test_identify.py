@@ -250,8 +250,8 @@ def test_a_channel_that_stands_still_is_refused(changed, says):
 
 
 def test_a_short_recording_is_refused_with_the_length_that_is_needed():
-    with pytest.raises(InputError, match="100 samples; give at least 160"):
-        task({"a": recorded(1, samples=100)}, ["u"], "y")
+    with pytest.raises(InputError, match="run2: 100 samples; give at least 160"):  # it, and not the first one
+        task({"a": recorded(1), "b": recorded(2, samples=100)}, ["u"], "y")
 
 
 @pytest.mark.parametrize("form", [ARX, ARMAX, BJ])
