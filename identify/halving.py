@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import zip_longest
 from time import process_time
 
 import numpy as np
@@ -257,10 +258,14 @@ class Halving:
         self.rung(0, LADDER, [t.model for t in self.ranked()[:LEADING]])
 
     def networks(self) -> list[Model]:
-        """What grows from the linear models, the most promising first."""
-        found = [Model(form, o, decay) for decay in STATE for form in FORMS if form.states for o in self.spaces()]
-        kinds = [(form, decay) for form in FORMS if not form.states for decay in (DECAY, STRONG)]
-        return found + [Model(form, o, decay) for form, decay in kinds for o in self.grown_from() if form.suits(o)]
+        """What grows from the linear models, the most promising first, those of states and others by turns."""
+        spaces = [Model(form, o, decay) for decay in STATE for o in self.spaces() for form in FORMS if form.states]
+        forms = sorted((form for form in FORMS if not form.states), key=lambda f: (f.reads != "all", not f.inside))
+        taps = [
+            Model(form, o, d) for o in self.grown_from() for d in (DECAY, STRONG) for form in forms if form.suits(o)
+        ]
+        turns = zip_longest(spaces, taps)
+        return [model for pair in turns for model in pair if model]
 
     def spaces(self) -> list[Orders]:
         """Taps of the linear models from which states are grown: the best one, of each kind, and of low orders."""
