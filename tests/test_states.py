@@ -125,6 +125,22 @@ def test_a_network_is_chosen_only_where_it_is_surely_better_than_a_line():
     assert search.chosen() is far
 
 
+def test_a_network_that_fails_over_one_stretch_alone_is_better_too():
+    posed = task({"a": recorded(1)}, ["u", "w"], "y")
+    network = LINEAR.build(Orders(1, (0, 0)), posed.inputs, posed.output, 0)
+
+    def tried(form: Form, errors) -> halving.Tried:
+        model = halving.Model(form, Orders(1, (0, 0)), 0.0)
+        return halving.Tried(model, 0, {0: network}, {k: [np.full(40, e)] for k, e in enumerate(errors)}, 0.0)
+
+    straight = tried(LINEAR, [1.0] * 8)
+    wild, wilder = (tried(SPACES[0], [0.3] * 7 + [last]) for last in (2.7, 3.5))
+    assert halving.sure_of(wild, straight, range(8)) < halving.SURE
+    assert halving.surely(wild, straight, range(8))
+    assert not halving.surely(wilder, straight, range(8))
+    assert not halving.surely(tried(SPACES[0], [0.9] * 5 + [1.15] * 3), straight, range(8))
+
+
 # ---- seconds of the processor
 
 
