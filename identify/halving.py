@@ -50,6 +50,8 @@ STATE = (0.03, 1.0, 1e-3)  # decays of a state space's neurons, whose signals ar
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
 SURE = 0.95  # that a network is better than every linear model, from which it is chosen
 SPOILT = 1.1  # factor of the error over everything by which a fit to everything may be worse than one to a part
+LARGER, FAR = 1.2, 10.0  # times the recorded inputs, with which a run is to stay within so many scales of the output
+SAFER = 1.5  # factor of the error up to which a network whose linear loop does not grow is taken before one whose does
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
 FEWEST = 20  # samples, from which something may be fitted at all
 LEAST = 0.1  # s that a training has, where its rung has just run out of time
@@ -119,7 +121,7 @@ class Tried:
     """What became of a model.
 
     networks: fold -> network. errors: fold -> errors (N,) over each of its held-out blocks, in the unit of the output,
-    None where the free run diverges or would in time. seconds: that it took in all.
+    None where the free run diverges or would in time. seconds: that it took in all. safe: its linear loop does not grow.
     """
 
     model: Model
@@ -127,6 +129,7 @@ class Tried:
     networks: Mapping[int, Network]
     errors: Mapping[int, Sequence[np.ndarray | None]]
     seconds: float
+    safe: bool = True
 
     @cached_property
     def parameters(self) -> int:
@@ -387,12 +390,23 @@ class Halving:
         lines = [t for t in ranked if t.model.form.linear]
         bent = [t for t in ranked if not t.model.form.linear and (not lines or surely(t, lines[0], folds))]
         ranked = bent or lines
+        safe = [t for t in ranked if t.safe and t.over(folds) <= SAFER * ranked[0].over(folds)]
+        ranked = safe or ranked
         near = [t for t in ranked if t.over(folds) <= SIMPLER * ranked[0].over(folds)]
         return min(near, key=lambda t: (t.parameters, t.over(folds)))
 
     def whole(self, network: Network) -> float:
         """RMS error of free runs over the complete recordings; inf: diverges."""
         return pooled([self.task.errors(network, r) for r in self.task.records.values()])
+
+    def standing(self, tried: Tried) -> tuple[float, Network]:
+        """Error over the complete recordings of a fold's network, and it: the first that does not drift off, if any."""
+        found = []
+        for network in sorted(tried.networks.values(), key=lambda n: grows(tried.model, n, self.task)):
+            found.append((self.whole(network), network))
+            if found[-1][0] <= WORSE * tried.error:
+                return found[-1]
+        return min(found, key=lambda f: f[0])
 
     def final(self) -> tuple[Tried, Trained]:
         """The chosen model, fitted to everything; the next one where its free run over everything drifts off.
@@ -401,7 +415,8 @@ class Halving:
         """
         first = self.chosen()
         best = [first, *(t for t in self.finalists() if t is not first)][:REFITTED]
-        before = {t.model: self.whole(t.first) for t in best}
+        starts = {t.model: self.standing(t) for t in best}
+        before = {model: error for model, (error, _) in starts.items()}
         sound = [t for t in best if before[t.model] <= WORSE * t.error]
         best = sound[:1] or sorted(best, key=lambda t: before[t.model])
         found: list[tuple[float, Tried, Trained]] = []
@@ -412,7 +427,7 @@ class Halving:
             fit = self.complete(tried, left / (len(best) - done))
             error = self.whole(fit.network) if stable(tried.model, fit.network, self.task) else np.inf
             if SPOILT * before[tried.model] < error:  # more data have made it worse: as its first fold left it
-                error, fit = before[tried.model], replace(fit, network=tried.first, initial=())
+                error, fit = before[tried.model], replace(fit, network=starts[tried.model][1], initial=())
             found.append((error, tried, fit))
         error, tried, fit = min(found, key=lambda f: f[0])
         if not np.isfinite(error):
@@ -499,23 +514,24 @@ def judged(
         return None
     networks, errors = {}, {}
     for place, fold in folds.items():
-        grows = line.networks[place] if line else None
-        if grows is None or model.form.linear:
-            fit = linear(task, model, grows, fold.pieces, rung, until.left)
+        known = line.networks[place] if line else None
+        if known is None or model.form.linear:
+            fit = linear(task, model, known, fold.pieces, rung, until.left)
             if model.form == SUBSPACE and fit.outcome is Outcome.TIME:  # too short for it
                 return None
         else:
-            known = [before.networks[place]] if before and place in before.networks else []
-            fit = network(task, model, grows, known, fold.pieces, rung, until)
+            earlier = [before.networks[place]] if before and place in before.networks else []
+            fit = network(task, model, known, earlier, fold.pieces, rung, until)
         if fit is None:
             return None
         networks[place] = fit.network
         errors[place] = [task.errors(networks[place], block) for block in fold.blocks]
-    if most(not stable(model, n, task) for n in networks.values()):
+    safe = not most(grows(model, n, task) for n in networks.values())
+    if not safe and model.form.loop_is_linear:
         errors = {place: [None] * len(of) for place, of in errors.items()}
     if until.clock:
         until.clock.note()
-    return Tried(model, number, networks, errors, process_time() - began)
+    return Tried(model, number, networks, errors, process_time() - began, safe)
 
 
 def most(of: Iterable[bool]) -> bool:
@@ -524,15 +540,33 @@ def most(of: Iterable[bool]) -> bool:
     return 2 * sum(found) > len(found)
 
 
-def stable(model: Model, network: Network, task: Task) -> bool:
-    """Whether its own motions do not grow by e within the longest recording, as far as its linear loop says.
+def grows(model: Model, network: Network, task: Task) -> bool:
+    """Whether the motions of its linear loop grow by e within the longest recording.
 
     Its neurons are bounded: where they are at their bounds, beyond what it was trained on, the linear loop alone acts.
-    A model whose motions then grow is of no use.
     """
     longest = max(len(r) for r in task.records.values())
-    falls = falling(network, model.orders, task.output) if model.form.feedback else 0.0
-    return not -longest < falls < 0
+    return model.form.feedback and -longest < falling(network, model.orders, task.output) < 0
+
+
+def stable(model: Model, network: Network, task: Task) -> bool:
+    """Whether its motions do not grow: by its linear loop, or where neurons may hold it, with inputs larger than seen.
+
+    A model whose motions grow is of no use beyond what it was fitted to.
+    """
+    if not grows(model, network, task):
+        return True
+    return not model.form.loop_is_linear and all(_holds(network, r, task.output) for r in task.records.values())
+
+
+def _holds(network: Network, record: Record, output: Port) -> bool:
+    """Whether a run with LARGER inputs stays near what was recorded."""
+    inputs = {p.name: p.offset + LARGER * (record.inputs[p.name] - p.offset) for p in network.inputs}
+    try:
+        run = network.run(inputs, record.initial)[output.name]
+    except InputError:
+        return False
+    return bool(np.abs(output.normalised(run)).max() < FAR)  # not a number: False
 
 
 def linear(
@@ -614,7 +648,7 @@ def network(
     for start in filter(None, starts):
         if (left := until.left) > 0:
             fits.append(trained(model, start, pieces, rung.epochs, left))
-    return lowest([f for f in fits if stable(model, f.network, task)] or fits) if fits else None
+    return lowest([f for f in fits if not grows(model, f.network, task)] or fits) if fits else None
 
 
 def seeded(task: Task, model: Model, line: Network, pieces: Sequence[Record], seed: int) -> Network | None:

@@ -79,6 +79,11 @@ class Form:
     def linear(self) -> bool:
         return not self.before + self.after + self.inside + self.states
 
+    @property
+    def loop_is_linear(self) -> bool:
+        """Whether the weights of its fed-back taps say if it is stable."""
+        return self.feedback and not self.states and (not self.inside or self.reads == "inputs")
+
     def suits(self, orders: Orders) -> bool:
         """Whether it may be grown from a linear model of these taps.
 
