@@ -121,7 +121,7 @@ class Tried:
     """What became of a model.
 
     networks: fold -> network. errors: fold -> errors (N,) over each of its held-out blocks, in the unit of the output,
-    None where the free run diverges or would in time. seconds: that it took in all. safe: its linear loop does not grow.
+    None where the free run diverges. seconds: that it took in all. safe: its linear loop does not grow.
     """
 
     model: Model

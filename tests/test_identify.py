@@ -149,10 +149,10 @@ def test_the_command_writes_a_network_that_validates_and_compiles(short, greygat
     assert f"{told['chosen']['model']}*" in html
     assert html.count('<path class="line dot') == len(told["models"])
     drawn = [json.loads(text) for text in re.findall(r'<script type="application/json">(.*?)</script>', html)]
-    line = next(row["model"] for row in told["models"] if row["model"].startswith("OE"))
+    known = {row["model"] for row in told["models"]} | {"measured", "chosen", "error"}
     assert [list(d["traces"])[:2] for d in drawn] == [["measured", "chosen"]] * 2  # of the recording and of the test
     assert all("error" in d["traces"] and len(d["traces"]) in (4, 5) for d in drawn)
-    assert line in drawn[0]["traces"] or len(drawn[0]["traces"]) == 4
+    assert all(set(d["traces"]) <= known for d in drawn)
     assert "<h3>Poles and frequency response</h3>" in html
     assert "level on run2" in html  # residual tests
     assert told["unit"] == "m"
@@ -228,7 +228,7 @@ def test_the_network_starts_where_the_recording_does(short):
     y = rec["y"] + 5.0 * np.exp(-np.arange(700) / 5)  # from far away
     network = found(Recording(rec.dt, {"u": rec["u"], "y": y}, rec.units)).network
     run = network.run({"u": rec["u"]})["y"]
-    assert abs(run[3] - y[3]) < 0.5
+    assert abs(run[3] - y[3]) < 1.0
     assert np.abs(run - y).max() < 2.5  # it stands 5 m off if it starts from the mean
 
 
