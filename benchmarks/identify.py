@@ -22,7 +22,7 @@ from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
 
 TAKES = "ten minutes"
-SECONDS, JOBS = 60.0, 2
+SECONDS, JOBS = 120.0, 2
 NAMES = ("dryer", "thermal", "dead_zone", "pendulum", "tanks", "ced", "crane", "emps", "mts")
 
 

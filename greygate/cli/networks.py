@@ -178,7 +178,7 @@ def identify(
     test: Annotated[list[str], words.TEST] = [],
     sample_time: Annotated[float | None, words.SAMPLE_TIME] = None,
     settle: Annotated[str, words.SETTLE] = words.AUTO,
-    seconds: Annotated[float, words.SECONDS] = 60.0,
+    seconds: Annotated[float, words.SECONDS] = 120.0,
     jobs: words.Jobs = 2,
     backend: OnBackend = Backend.LOKY,
     scheduler: Scheduler = None,
