@@ -458,7 +458,7 @@ class Halving:
             models = [Model(form, o, 0.0) for o in orders if 2 * o.deepest < shortest for form in forms]
             self.rung(0, ALONE, [m for m in models if m not in self.tried])
 
-        fitted(ordered(delays[0], strides))
+        fitted(o for o in ordered(min(delays), strides) if o.order <= FEW)
         if not self.tried:
             raise InputError("the recordings are too short for a linear model")
         fitted(replace(self.ranked()[0].model.orders, delays=d) for d in delays)

@@ -137,6 +137,8 @@ def test_init_writes_the_sample_time_too(place, greygate):
 
 def test_the_network_that_identify_finds_has_the_sample_time_of_its_recordings(tmp_path, monkeypatch):
     class Search:
+        clock = SimpleNamespace(spent=lambda: 0.0)
+
         def __init__(self, task, *_):
             self.task = task
 
