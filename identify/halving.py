@@ -513,6 +513,7 @@ def judged(
     if not until.left > 0:
         return None
     networks, errors = {}, {}
+    fit: Trained | None
     for place, fold in folds.items():
         known = line.networks[place] if line else None
         if known is None or model.form.linear:
@@ -563,7 +564,7 @@ def _holds(network: Network, record: Record, output: Port) -> bool:
     """Whether a run with LARGER inputs stays near what was recorded."""
     inputs = {p.name: p.offset + LARGER * (record.inputs[p.name] - p.offset) for p in network.inputs}
     try:
-        run = network.run(inputs, record.initial)[output.name]
+        run = network.run(inputs, {n: float(np.ravel(v)[-1]) for n, v in record.initial.items()})[output.name]
     except InputError:
         return False
     return bool(np.abs(output.normalised(run)).max() < FAR)  # not a number: False
@@ -671,8 +672,16 @@ def trained(
 ) -> Trained:
     """The model trained in free run from `start` on. seconds: of the processor."""
     decay = pulled(start, model.decay) if model.form.states else model.decay
-    options = {"epochs": epochs, "decay": decay, "seconds": max(seconds, LEAST), "tolerance": tolerance}
-    return train(start, pieces, estimate_initial=True, clock=process_time, **options)
+    return train(
+        start,
+        pieces,
+        estimate_initial=True,
+        epochs=epochs,
+        decay=decay,
+        seconds=max(seconds, LEAST),
+        clock=process_time,
+        tolerance=tolerance,
+    )
 
 
 def lowest(fits: Sequence[Trained]) -> Trained:

@@ -20,7 +20,7 @@ def page(found: Identified, told: IdentifiedFacts) -> str:
 
 def judged(found: Identified) -> Evidence:
     """Poles, responses and residual tests of the chosen network, on recordings and tests."""
-    records = found.task.records | {n: found.task.record(r) for n, r in found.tests.items()}
+    records = dict(found.task.records) | {n: found.task.record(r) for n, r in found.tests.items()}
     begun = {n: initialised(found.network, r) for n, r in records.items()}
     learnt = [replace(begun[n], skip=0) for n in found.task.records]
     return evidence(found.network, found.network, learnt, begun, found.network.dt or 1.0, found.chosen.model.decay)

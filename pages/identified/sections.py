@@ -85,7 +85,7 @@ def weighed(found: Identified, told: IdentifiedFacts) -> Markup:
 def runs(found: Identified, told: IdentifiedFacts) -> dict:
     """Measured and predicted by the best three, over each recording and test."""
     named = {"chosen": found.network, **others(found)}
-    records = found.task.records | {n: found.task.record(r) for n, r in found.tests.items()}
+    records = dict(found.task.records) | {n: found.task.record(r) for n, r in found.tests.items()}
     output = found.task.output
     drawn = []
     for name, record in records.items():
