@@ -69,13 +69,13 @@ def straight(found: Identified) -> Tried | None:
 
 
 def weighed(found: Identified, told: IdentifiedFacts) -> Markup:
-    """Error held out against the number of weights: linear models, networks, and the chosen one."""
+    """Error held out against weights: of linear models, networks, and the chosen one, where it is below the mean's."""
     factor, unit = display(told["unit"], told["chosen"]["held_out"])
     dots = []
-    for tried in found.search.finalists():
+    for row, tried in zip(told["models"], found.search.finalists(), strict=True):
         kind = "chosen" if tried is found.chosen else "straight" if tried.model.form.linear else "bent"
-        if math.isfinite(tried.error):
-            x, y = tried.parameters, tried.error * factor
+        if kind == "chosen" or row["fit"] > 0:
+            x, y = row["parameters"], row["held_out"] * factor
             dots.append(Curve([x * (1 - DOT), x * (1 + DOT)], [y, y], f"dot {kind}"))
     limits = drawing.span([v for dot in dots for v in dot.x], log=True)
     label = labelled("held out, RMS", unit)
