@@ -31,6 +31,9 @@ def handshake(
     yield _paths(files, top, progress)
     named = {"top": top, **widths}
     block = [path for path in files if path.stem in ("greygate_stream", "greygate_skid")]
+    for skid in (path for path in block if path.stem == "greygate_skid"):
+        check = render("skid_check.v", named, "greygate.hardware")
+        yield _proof("greygate_skid: a beat is kept until it is taken", [skid], check, ["kept"], seconds)
     if len(block) == 2:
         what = f"greygate_stream: {WANTED} or changed, whatever core answers each start once"
         yield _proof(what, block, render("stream_check.v", named, "greygate.hardware"), CONTROL, seconds)
