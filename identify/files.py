@@ -159,8 +159,8 @@ def lines(found: IdentifiedFacts) -> list[str]:
     for row in found["models"][:SHOWN]:
         mark = "*" if row["model"] == found["chosen"]["model"] else " "
         rows.append(
-            f"{mark} {row['model'][:60]:60} {row['parameters']:7d} {row['held_out']:10.4g} {row['fit']:7.2f} "
-            f"{row['seconds']:6.1f}"
+            f"{mark} {row['model'][:60]:60} {row['parameters']:7d} {_finite(row['held_out'], '.4g'):>10} "
+            f"{_finite(row['fit'], '.2f'):>7} {row['seconds']:6.1f}"
         )
     if len(found["models"]) > SHOWN:
         rows.append(f"  and {len(found['models']) - SHOWN} more; all are in the .json")
@@ -197,6 +197,11 @@ def lines(found: IdentifiedFacts) -> list[str]:
     for name, missed in found["test"].items():
         told.append(f"test {name}: RMSE {'inf' if missed is None else format(missed, '.4g')}{unit}")
     return told
+
+
+def _finite(value: float | None, form: str) -> str:
+    """A figure; one of a model that diverges is inf here, and None once it is plain data."""
+    return "–" if value is None or not np.isfinite(value) else format(value, form)
 
 
 def identify_files(
@@ -253,7 +258,7 @@ def identify_files(
             of = Recording(recording.dt, {c: recording[c] for c in used}, {c: recording.units[c] for c in used})
             of.write_csv(new / f"{label}.csv")
         if drawn is not None and page is not None:
-            drawn.write_text(page(found, kept), encoding="utf-8")
+            drawn.write_text(page(found, plain(kept)), encoding="utf-8")
     records = " ".join(f"{out / n}.csv" for n in read_in)
     file = out / f"{name}.toml"
     return plain(

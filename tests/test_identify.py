@@ -15,7 +15,7 @@ from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.identify import halving
 from greygate.identify.clock import Clock, Deadline
-from greygate.identify.files import figures, identify, lines
+from greygate.identify.files import Identified, figures, identify, lines
 from greygate.identify.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, Orders, falling, grown
 from greygate.identify.linear import taught
 from greygate.identify.looking import look
@@ -27,6 +27,8 @@ from greygate.models.network import Network, Port
 from greygate.models.training.initial import initialised
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
+from greygate.pages.identified import page
+from greygate.plain import plain
 from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
 
@@ -167,6 +169,21 @@ def test_the_command_writes_a_network_that_validates_and_compiles(short, greygat
         assert code == 0, error
     code, _, error = greygate(*call, "--out", "mine")
     assert (code, "holds other files (compiled/" in error) == (2, True)
+
+
+def test_a_model_that_diverges_is_a_row_without_a_figure(searched):
+    model = halving.Model(LINEAR, Orders(7, (0,)), 0.0)
+    networks = searched.tried[searched.chosen().model].networks
+    wild = halving.Tried(model, 0, networks, {place: [None] for place in range(8)}, 0.0)
+    searched.tried[wild.model] = wild
+    chosen, fit = searched.final()
+    found = Identified(searched.task, chosen, replace(fit.network, dt=0.1), searched, {}, {}, 1.0)
+    told = figures(found)
+    for each in (told, plain(told)):
+        (row,) = (line for line in lines({**each, "models": each["models"][-1:]}) if wild.model.name in line)
+        assert row.split()[-3:-1] == ["–", "–"]
+    html = page(found, plain(told))
+    assert f'<td class="text">{wild.model.name}</td>' in html
 
 
 def test_an_output_that_no_input_explains_is_exit_code_1(short, greygate, tmp_path, monkeypatch):

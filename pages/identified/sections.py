@@ -74,7 +74,7 @@ def weighed(found: Identified, told: IdentifiedFacts) -> Markup:
     dots = []
     for row, tried in zip(told["models"], found.search.finalists(), strict=True):
         kind = "chosen" if tried is found.chosen else "straight" if tried.model.form.linear else "bent"
-        if kind == "chosen" or row["fit"] > 0:
+        if kind == "chosen" or (row["fit"] is not None and row["fit"] > 0):
             x, y = row["parameters"], row["held_out"] * factor
             dots.append(Curve([x * (1 - DOT), x * (1 + DOT)], [y, y], f"dot {kind}"))
     limits = drawing.span([v for dot in dots for v in dot.x], log=True)
