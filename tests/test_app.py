@@ -1,6 +1,10 @@
 """`greygate app`: a folder in the browser. Strangers are refused; a command runs as it is typed."""
 
+import html
+import json
 import os
+import re
+import shutil
 import socket
 import subprocess
 import time
@@ -331,3 +335,174 @@ import greygate.app.server
 def test_without_the_extra_it_names_itself():
     done = children.ran(children.python("-c", MISSING))
     assert "starlette is not installed; pip install 'greygate[app]'" in done.stderr
+
+
+@pytest.fixture
+def sampled(folder):
+    """The folder with the rig of the sample `plant`."""
+    from greygate.machines.samples import write
+
+    write("plant", folder)
+    return folder
+
+
+@pytest.mark.parametrize("way", ["explain", "network", "fpga"])
+def test_a_way_begins_with_what_lies_in_the_folder_and_offers_samples(client, sampled, way):
+    page = client.get(at(f"guide/{way}")).text
+    assert ("?of=a.csv" in page) == (way in ("explain", "network"))
+    assert ('?of=axis"' in page) == (way == "explain")
+    assert 'data-name="recording"' in page
+
+
+def test_the_roles_of_channels_are_asked_for_beside_their_plots(client):
+    for way, command in (("explain", "init-rig"), ("network", "identify")):
+        page = client.get(at(f"guide/{way}?of=a.csv")).text
+        assert page.count("<svg class") == 2
+        assert page.count('name="role u"') == page.count('name="role y"') == 3
+        assert f'data-command="{command}"' in page
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("-viscous * v", "-viscous * w", "motion, term viscous: unknown name 'w'"),
+        ("-viscous * v", "-viscous * x", "motion: left side is in kg m/s^2, viscous in N s"),
+        ("[states]", "[states", "axis.toml"),
+        ("-viscous * v", "-viscous * abs(v)", ""),
+    ],
+)
+def test_equations_are_checked_as_they_are_typed(client, sampled, old, new, told):
+    text = (sampled / "axis" / "axis.toml").read_text().replace(old, new)
+    said = client.post(at("check/axis/axis.toml"), json={"text": text}).json()
+    assert told in said["wrong"] if told else "units agree" in said["remark"]
+    assert "greygate-" not in str(said)  # a folder for temporary files
+    assert old in (sampled / "axis" / "axis.toml").read_text()
+
+
+def test_a_text_is_saved_unless_another_saved_it_meanwhile(client, sampled):
+    path = sampled / "axis" / "axis.toml"
+    mark = client.get(at("guide/explain?of=axis")).text.partition('data-mark="')[2][:64]
+    assert client.post(at("text/axis/axis.toml"), json={"text": "a = 1\n", "mark": mark}).status_code == 200
+    assert path.read_bytes() == b"a = 1\n"
+    assert client.post(at("text/axis/axis.toml"), json={"text": "b = 1\n", "mark": mark}).status_code == 400
+    assert path.read_bytes() == b"a = 1\n"
+
+
+@pytest.mark.parametrize("name", ["a.csv", "../secret.csv", "axis/none.toml", "axis/identify.csv", "axis/link.toml"])
+def test_no_text_is_read_or_written_but_those_of_a_rig(client, sampled, name):
+    (sampled / "axis" / "link.toml").symlink_to(sampled.parent / "secret.csv")
+    for place in ("check", "text"):
+        answer = client.post(at(f"{place}/{name}"), json={"text": "x", "mark": ""})
+        assert answer.status_code in (400, 403, 404) or "is no text of a rig" in answer.json()["wrong"]
+    assert (sampled.parent / "secret.csv").read_text() == ROWS
+
+
+@pytest.mark.parametrize(
+    "query", ["of=../secret.csv", "of=/etc/passwd", "of=a.csv&made=../x", "of=a%00b", "of=link.csv"]
+)
+def test_a_way_leads_nowhere_outside_the_folder(client, folder, query):
+    (folder / "link.csv").symlink_to(folder.parent / "secret.csv")
+    for way in ("explain", "network", "fpga"):
+        assert client.get(at(f"guide/{way}?{query}")).status_code == 403
+
+
+def test_a_formula_without_a_name_can_be_accepted(client, sampled):
+    found = {"schema": "diagnosis/2", "verdict": "unexplained", "where": [{"formula": "-x"}], "effects": []}
+    (sampled / "axis.diagnosis.json").write_text(json.dumps(found))
+    page = client.get(at("guide/explain?of=axis")).text
+    assert '<input type="hidden" name="accept" value="yes">' in page
+    assert '<h2 id="verdict">unexplained</h2>' in page
+    (sampled / "axis.diagnosis.json").write_text(json.dumps(found | {"where": [{}]}))
+    assert 'name="accept"' not in client.get(at("guide/explain?of=axis")).text
+
+
+@pytest.mark.parametrize("told", [[], {"where": 1, "effects": {"a": 1}}, {"effects": [1, {}]}, {"verdict": ["<b>"]}])
+def test_what_a_stranger_wrote_into_a_result_breaks_no_page(client, sampled, told):
+    for name in ("axis.diagnosis.json", "found/found.json", "found/verify.json"):
+        (sampled / name).parent.mkdir(exist_ok=True)
+        (sampled / name).write_text(json.dumps(told))
+    for name in ("found/found.toml", "found/found.safetensors", "found/compile.json"):
+        (sampled / name).write_text("")
+    for place in ("", "guide/explain?of=axis", "guide/network?of=a.csv&made=found", "guide/fpga?of=x&made=found"):
+        answer = client.get(at(place))
+        assert answer.status_code == 200
+        assert "<b>" not in answer.text.partition('id="verdict"')[2][:40]
+
+
+HOSTILE = [
+    '"><img src=x onerror=alert(1)>.csv',
+    "'; alert(1) ;'.csv",
+    "a&b=c #?%2e.csv",
+    "</script><script>alert(1)//.csv",
+]
+
+
+@pytest.mark.parametrize("name", HOSTILE, ids=range(len(HOSTILE)))
+def test_a_hostile_name_of_a_file_is_shown_as_it_is(client, folder, name):
+    name = name.replace("/", "\u2215")
+    (folder / name).write_text(ROWS)
+    places = [href for href in re.findall(r'href="([^"]+)"', client.get(at("guide/network")).text) if "of=" in href]
+    shown = [client.get(html.unescape(place)) for place in places]
+    assert [page.status_code for page in shown] == [200, 200]
+    for page in (client.get(at()), *shown):
+        assert "<img" not in page.text
+        assert page.text.count("<script") == 1
+    assert sum('name="role u"' in page.text for page in shown) == 2
+
+
+def test_a_folder_that_is_deleted_meanwhile_is_said_and_not_made_again(client, folder):
+    shutil.rmtree(folder)
+    assert client.get(at()).status_code == 200
+    assert client.put(at("files/b.csv"), content=ROWS).status_code == 400
+    number = client.post(at("run/doctor"), json={}).json()["number"]
+    assert ended(client, number)["state"].startswith("not started: ")
+    assert client.get(at("guide/network?of=a.csv")).status_code == 200
+    assert not folder.exists()
+
+
+class Mouse:
+    """A tab that is used by clicks alone, which are counted."""
+
+    def __init__(self, tab):
+        self.tab, self.clicks = tab, 0
+
+    def click(self, what: str) -> None:
+        self.tab.click(what)
+        self.clicks += 1
+
+    def until(self, what: str, seconds: float = PATIENCE) -> None:
+        self.tab.wait_for_selector(what, timeout=seconds * 1000)
+
+
+@pytest.fixture
+def empty(tmp_path):
+    """The address of an app on an empty folder."""
+    with children.started(children.python("-m", "greygate", "app", str(tmp_path)), stdout=children.PIPE) as process:
+        yield process.stdout.readline().strip()
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(bool(browsing.missing()), reason=f"a browser needs {browsing.missing()}")
+def test_who_begins_with_nothing_reaches_a_named_effect_and_verified_verilog_by_mouse_alone(empty):
+    began = time.monotonic()
+    with browsing.chromium() as browser, browsing.opened(browser, empty, (1280, 900), "light") as (tab, told):
+        mouse = Mouse(tab)
+        mouse.click("text=Try recording")
+        mouse.click("button:text-is('Diagnose')")
+        mouse.until("#verdict:has-text('missing physics: speed_slip')")
+        effect = (mouse.clicks, time.monotonic() - began)
+        mouse.click("nav >> text=folder")
+        mouse.click("text=Try network")
+        mouse.click("fieldset:has(legend:text-is('x_cmd')) >> text=drives")
+        mouse.click("fieldset:has(legend:text-is('x_meas')) >> text=is predicted")
+        mouse.click("text=Find a network")
+        mouse.until("a.go:text-is('Network to FPGA')", 300)
+        mouse.click("a.go:text-is('Network to FPGA')")
+        mouse.click("button:text-is('Compile')")
+        mouse.until("button:text-is('Verify')")
+        mouse.click("button:text-is('Verify')")
+        mouse.until("#verdict:has-text('every bit is equal')", 300)
+        assert told == []
+        print(f"effect: {effect[0]} clicks, {effect[1]:.0f} s")
+        print(f"and verified Verilog: {mouse.clicks} clicks, {time.monotonic() - began:.0f} s")
+        assert (effect[0], mouse.clicks) == (2, 10)

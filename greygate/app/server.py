@@ -12,15 +12,18 @@ from typing import Any
 from jinja2 import Environment, PackageLoader
 
 from greygate import children
+from greygate.app import guides
 from greygate.app.forms import Form, line
 from greygate.app.runs import Run, Runs
 from greygate.app.things import TAKEN, things
 from greygate.errors import InputError, brought_by, shown
 from greygate.files import replacing
+from greygate.machines.samples import DEMOS
 from greygate.pages.templates import environment, render
 
 with brought_by("app", "starlette"):
     from starlette.applications import Starlette
+    from starlette.concurrency import run_in_threadpool
     from starlette.exceptions import HTTPException
     from starlette.requests import Request
     from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, Response
@@ -31,12 +34,15 @@ LARGEST = 2 << 30  # bytes of a file that is dropped, as of one that is read
 ASKED = 1 << 20  # bytes of what a form sends
 NAMES = 200  # characters of a file's name
 LEFT_OUT = ("app",)  # commands without a form
-STATE = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; img-src data:"
+STATE = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
+OWN = "connect-src 'self'; frame-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 HEADERS = {
     "referrer-policy": "no-referrer", "x-content-type-options": "nosniff", "cache-control": "no-store",
-    "content-security-policy": f"{STATE}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "content-security-policy": f"{STATE}; {OWN}",
 }  # fmt: skip
-FOREIGN = {"content-security-policy": "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:"}
+FOREIGN = {
+    "content-security-policy": "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:; frame-ancestors 'self'"
+}
 """Of a page that lies in the folder: whoever wrote it, its script speaks to nobody, nor to this server."""
 
 
@@ -92,17 +98,53 @@ class Pages:
     async def index(self, request: Request) -> Response:
         runs = [run.told() for run in reversed(self.runs.runs.values())]
         return self.shown(
-            "index.html", folder=self.folder.name, things=things(self.folder), forms=self.forms, runs=runs
-        )
+            "index.html", folder=self.folder.name, things=things(self.folder), forms=self.forms, runs=runs,
+            ways=guides.WAYS, samples=self._samples(),
+        )  # fmt: skip
+
+    def _samples(self) -> list[tuple[str, str, str]]:
+        """(name, what it is, where the page goes on) of each sample that the folder has not."""
+        return [(n, DEMOS[n].means, then) for n, then in guides.SAMPLES.items() if not (self.folder / n).exists()]
+
+    def guide(self, request: Request) -> Response:
+        """A guided way; it reads recordings, so it runs beside the other answers."""
+        if (name := request.path_params["name"]) not in guides.WAYS:
+            raise HTTPException(404, "no such way")
+        of, made = (request.query_params.get(key, "") for key in ("of", "made"))
+        for given in (of, made):
+            self._within(given)
+        title, way = guides.WAYS[name]
+        try:
+            found, wrong = way(self.folder, of, made), ""
+        except InputError as error:
+            found, wrong = guides.Way(), str(error)
+        return self.shown("guide.html", title=title, way=found, name=name, of=of, wrong=wrong, samples=self._samples())
+
+    async def check(self, request: Request) -> Response:
+        """What is remarked of a rig with the text that is being typed."""
+        name, values = self._text(request), await _values(request)
+        text = str(values.get("text", ""))
+        return await run_in_threadpool(_told, lambda: {"remark": guides.check(self.folder, name, text)})
+
+    async def save(self, request: Request) -> Response:
+        name, values = self._text(request), await _values(request)
+        mark = guides.save(self.folder, name, str(values.get("text", "")), str(values.get("mark", "")))
+        return JSONResponse({"mark": mark}, headers=HEADERS)
+
+    def _text(self, request: Request) -> str:
+        name = request.path_params["path"]
+        self._within(name)
+        return name
 
     async def form(self, request: Request) -> Response:
         form = self._form(request)
-        first = request.query_params.get("of", "")
-        return self.shown("form.html", form=form, first=first, title=form.name)
+        given = dict(request.query_params)
+        return self.shown("form.html", form=form, given=given, title=form.name)
 
     async def said(self, request: Request) -> Response:
-        """The command line of the values so far."""
-        return JSONResponse({"line": line(self._form(request).words(await _values(request)))}, headers=HEADERS)
+        """The command line of the values so far, or what is wrong with them: no mistake while they are being given."""
+        form, values = self._form(request), await _values(request)
+        return _told(lambda: {"line": line(form.words(values))})
 
     async def start(self, request: Request) -> Response:
         run = self.runs.start(self._form(request).words(await _values(request)))
@@ -187,6 +229,14 @@ async def _values(request: Request) -> dict[str, object]:
     return found
 
 
+def _told(found: Callable[[], dict]) -> Response:
+    """An answer, or what is wrong, about what is being typed."""
+    try:
+        return JSONResponse(found(), headers=HEADERS)
+    except InputError as error:
+        return JSONResponse({"wrong": str(error)}, headers=HEADERS)
+
+
 async def _mistake(request: Request, error: Exception) -> Response:
     return PlainTextResponse(str(error), 400, HEADERS)
 
@@ -203,6 +253,8 @@ def site(folder: Path, commands: Mapping[str, Any], token: str) -> Guard:
         Route("/", pages.index), Route("/command/{name}", pages.form), Route("/runs/{number:int}", pages.run),
         Route("/line/{name}", pages.said, methods=["POST"]), Route("/run/{name}", pages.start, methods=["POST"]),
         Route("/runs/{number:int}/log", pages.log), Route("/runs/{number:int}/cancel", pages.cancel, methods=["POST"]),
+        Route("/guide/{name}", pages.guide), Route("/check/{path:path}", pages.check, methods=["POST"]),
+        Route("/text/{path:path}", pages.save, methods=["POST"]),
         Route("/files/{path:path}", pages.file), Route("/files/{path:path}", pages.add, methods=["PUT"]),
     ]  # fmt: skip
     return Guard(Starlette(routes=routes, exception_handlers={InputError: _mistake, HTTPException: _refused}), token)

@@ -62,11 +62,17 @@ def _folder(path: Path) -> tuple[str, str]:
     if (path / "rig.toml").is_file():
         return "rig", f"{len(list(path.glob('*.csv')))} recordings"
     if (path / "compile.json").is_file():
-        verified = _json(path / "verify.json")
-        return "build", "verified" if verified and verified.get(
-            "passed"
-        ) else "not verified" if not verified else "differs"
+        return "build", verified(path) or "not verified"
     return "", ""
+
+
+def verified(build: Path) -> str:
+    """What `greygate verify` found of a build; empty where it has not run."""
+    designs = object_in(build / "verify.json").values()
+    runs = [run for design in designs for run in inner(design, "scenarios").values()]
+    if not runs:
+        return ""
+    return "verified" if all(inner(run).get("mismatch", "") is None for run in runs) else "differs"
 
 
 def _file(path: Path) -> tuple[str, str]:
@@ -77,15 +83,22 @@ def _file(path: Path) -> tuple[str, str]:
         return "network", "trained" if path.with_suffix(".json").is_file() else "not trained"
     if suffix == ".html":
         return "page", ""
-    if suffix == ".json" and "verdict" in (told := _json(path)):
-        return "diagnosis", str(told["verdict"]).replace("_", " ")
+    if suffix == ".json" and str((told := object_in(path)).get("schema", "")).startswith("diagnosis/"):
+        return "diagnosis", str(told.get("verdict", "")).replace("_", " ")
     return "", ""
 
 
-def _json(path: Path) -> dict:
+def object_in(path: Path) -> dict:
     """The object in a file; empty where there is none."""
     try:
         found = json.loads(contents(path, READ))
     except (OSError, ValueError, RecursionError):
         return {}
+    return found if isinstance(found, dict) else {}
+
+
+def inner(found: object, *names: str) -> dict:
+    """The object below these names; empty where there is none."""
+    for name in names:
+        found = found.get(name) if isinstance(found, dict) else None
     return found if isinstance(found, dict) else {}
