@@ -346,10 +346,10 @@ def sampled(folder):
     return folder
 
 
-@pytest.mark.parametrize("way", ["explain", "network", "fpga"])
+@pytest.mark.parametrize("way", ["explain", "network", "fpga", "compare"])
 def test_a_way_begins_with_what_lies_in_the_folder_and_offers_samples(client, sampled, way):
     page = client.get(at(f"guide/{way}")).text
-    assert ("?of=a.csv" in page) == (way in ("explain", "network"))
+    assert ("?of=a.csv" in page) == (way != "fpga")
     assert ('?of=axis"' in page) == (way == "explain")
     assert 'data-name="recording"' in page
 
@@ -402,7 +402,7 @@ def test_no_text_is_read_or_written_but_those_of_a_rig(client, sampled, name):
 )
 def test_a_way_leads_nowhere_outside_the_folder(client, folder, query):
     (folder / "link.csv").symlink_to(folder.parent / "secret.csv")
-    for way in ("explain", "network", "fpga"):
+    for way in ("explain", "network", "fpga", "compare"):
         assert client.get(at(f"guide/{way}?{query}")).status_code == 403
 
 

@@ -92,6 +92,7 @@ TEXTS = {
     "picture": NO_PLACE, "own": ["none", ""],
     "old": NO_BUILD, "new": NO_BUILD, "budget": NO_TOML,
     "test": NAMED, "sensor": ["nobody", ""], "target": ["nobody", ""], "machine": ["nobody", "a.csv", ""],
+    "against": ["none.toml", "rig", "", "rig=none"],
     "fmu": ["none", "folder", "a.csv", "build", ""], "parameter": ["nobody", ""],
     "track": NO_TABLE, "limits": RANGES, "rate": ["", "u", "u=", "u=0"], "noise": ["", "x", "x=-1", "x=nan"],
     "unit": ["", "u", "u=", "=V", "u=foo", "nobody=V"], "time": ["nobody", ""],
@@ -157,7 +158,8 @@ OTHERS = [
     ["identify", "rig/identify.csv", "--output", "x_load", "--out", "new"],
     ["control", "belt_drive", "--controller", "pi", "--place", "rtl"], ["control", "crane"],
     ["control", "rig", "--limits", "u_d=0:1"], ["control", "rig", "--track", "a.csv", "--limits", "u_d=0:1"],
-    ["control", "line.toml", "--track", "a.csv"],
+    ["control", "line.toml", "--track", "a.csv"], ["look", "a.csv", "--settle", "10"],
+    *(["look", "a.csv", "--against", m] for m in ("none.toml", "rig", "folder", "", "=", "rig=none", "build=a.csv")),
 ]  # fmt: skip
 
 

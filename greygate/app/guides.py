@@ -158,10 +158,35 @@ def fpga(folder: Path, of: str, made: str) -> Way:
     return Way(steps, verdict=SAID.get(said, ""), page=_page(folder, page))
 
 
+def compare(folder: Path, of: str, made: str) -> Way:
+    """Several models over one recording."""
+    if not of:
+        return Way(choose=_of(folder, "recording"))
+    known = _of(folder, "network", "build", "rig")
+    models = [t.path for t in known] + [
+        f"{t.path}={p}" for t in known if (p := _page(folder, f"{t.path}.diagnosis.json"))
+    ]
+    asks = (
+        Ask("against", "Models", choices=tuple(models), several=True),
+        Ask("settle", "First samples that only settle", str(max([0, *(_settled(folder / t.path) for t in known)]))),
+    )
+    page = f"{Path(of).with_suffix('').as_posix()}.models.html"
+    told = "Each runs freely over the recording: one plot, and how well each fits."
+    step = Step("Models", told, "look", "Compare", _at("compare", of), {"recording": of, "html": page}, asks)
+    return Way([step], page=_page(folder, page))
+
+
+def _settled(path: Path) -> int:
+    """The samples that `identify` let a network settle in."""
+    found = object_in(path.with_suffix(".json")).get("settle", 0)
+    return found if isinstance(found, int) else 0
+
+
 WAYS: dict[str, tuple[str, Callable[[Path, str, str], Way]]] = {
     "explain": ("Explain a recording", explain),
     "network": ("Network from a recording", network),
     "fpga": ("Network to FPGA", fpga),
+    "compare": ("Compare models", compare),
 }
 
 

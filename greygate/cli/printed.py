@@ -202,11 +202,22 @@ class ChannelRead(TypedDict):
     greatest: float
 
 
+class ModelFit(TypedDict):
+    """How well a model fits an output in free run."""
+
+    model: str
+    output: str
+    unit: str
+    rms: Annotated[Figure, "null where it diverges."]
+    fit: Annotated[Figure, "Per cent; null where it diverges."]
+
+
 class Looking(TypedDict):
-    """The channels of a recording."""
+    """The channels of a recording, or the models on it."""
 
     recording: str
     channels: list[ChannelRead]
+    models: NotRequired[list[ModelFit]]
 
 
 @dataclass(frozen=True)

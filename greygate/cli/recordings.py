@@ -13,7 +13,7 @@ from greygate.errors import InputError
 from greygate.machines.samples import DEMOS
 
 if TYPE_CHECKING:
-    from greygate.cli.printed import ChannelRead, Looking, Sampling
+    from greygate.cli.printed import ChannelRead, Looking, ModelFit, Sampling
 
 SHOWN = 6  # names in a message
 
@@ -63,11 +63,16 @@ def look(
     html: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="HTML page to write, which draws every channel.")
     ] = None,
+    against: Annotated[
+        list[str], typer.Option(metavar="MODEL", help="NAME.toml, BUILD, RIG, RIG=diagnosis.json: how well it fits.")
+    ] = [],
+    settle: Annotated[str, words.SETTLE] = "0",
     as_json: Json = False,
 ) -> None:
-    """Print, draw or convert the channels of a recording.
+    """Print, draw or convert a recording, or compare models on it.
 
-    Units other than the house's are converted to SI. Exit code 2 for a unit or a time that cannot be read in one way.
+    Units other than the house's are converted to SI. With --against each model runs freely, and the page draws all
+    together. Exit code 2 for a unit or a time that cannot be read in one way.
     """
     from greygate.files import replacing
     from greygate.pages.recorded import COLUMNS, page, rows
@@ -76,6 +81,17 @@ def look(
     from greygate.plants.readers.columns import recording as uniform
     from greygate.plants.readers.read import read_channels
 
+    skipped = words.settled(settle)
+    if against:
+        given = {"--unit": unit, "--time": time, "--sample-time": sample_time, "--resample": resample, "--out": out}
+        if strange := [name for name, value in given.items() if value]:
+            raise InputError(f"--against: the recording is read as the model says; leave out {strange[0]}")
+        if skipped is None:
+            raise InputError(f"--settle {settle}: only train and identify find it; give the number that they told")
+        _models(recording, against, skipped, html, as_json)
+        return
+    if skipped != 0:
+        raise InputError(f"--settle {settle}: is of models; give --against MODEL too")
     step = _step(resample)
     if time == "":
         raise InputError("--time: give the name of the column that holds the time")
@@ -113,6 +129,23 @@ def look(
     ]
     result: Looking = {"recording": str(recording), "channels": channels}
     give("look", result, as_json, lines)
+
+
+def _models(recording: Path, models: list[str], skipped: int, html: Path | None, as_json: bool) -> None:
+    """Compare models on a recording."""
+    from greygate.pages.several import COLUMNS, page, predictions, rows
+    from greygate.pages.summary import aligned
+    from greygate.pages.templates import write
+    from greygate.plain import plain
+
+    found = predictions(models, recording, skipped)
+    if html is not None:
+        write(page(found, recording.name), html)
+    fits: list[ModelFit] = [
+        {"model": one.model, "output": one.output, "unit": one.unit, "rms": one.rms, "fit": one.fit} for one in found
+    ]
+    result: Looking = {"recording": str(recording), "channels": [], "models": fits}
+    give("look", plain(result), as_json, aligned(rows(found), COLUMNS) + ([f"written to {html}"] if html else []))
 
 
 def _unit(text: str) -> tuple[str, str]:
