@@ -411,7 +411,7 @@ class Program:
     def save(self, path: Path | str) -> None:
         """Write the program as JSON that a person can read."""
         with replacing(path) as temporary:
-            temporary.write_text(json.dumps(to_json(self), indent=1))
+            temporary.write_text(json.dumps(to_json(self), indent=1), encoding="utf-8", newline="\n")
 
     @staticmethod
     def load(path: Path | str) -> "Program":

@@ -67,10 +67,10 @@ def write_workflow(
     ]
     context = {"mark": MARK, "install": shlex.quote(install), "build": _making(compiling, BUILD), "judge": judge}
     with making(place.parent), replacing(place) as new:
-        new.write_text(render(f"{service}.yml", context, "greygate.export"), encoding="utf-8")
+        new.write_text(render(f"{service}.yml", context, "greygate.export"), encoding="utf-8", newline="\n")
         if not known:
             with replacing(budget) as limits:
-                limits.write_text(BUDGET, encoding="utf-8")
+                limits.write_text(BUDGET, encoding="utf-8", newline="\n")
     written = [str(place), *([] if known else [budget])]
     first = [] if Path(accepted).exists() else _making(compiling, accepted)
     return {"written": written, "next": [*first, shlex.join(["git", "add", "--force", *written, accepted])]}

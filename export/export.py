@@ -45,7 +45,7 @@ def export_c(project: Project, out: Path | str) -> list[str]:
     made = values.files(project.program)
     with replacing_folder(out, "export") as new:
         for name, text in made.items():
-            (new / name).write_text(text, encoding="utf-8")
+            (new / name).write_text(text, encoding="utf-8", newline="\n")
     return sorted(made)
 
 
@@ -64,7 +64,7 @@ def export_modelica(source: Path | str, out: Path | str, diagnosis: Mapping | No
     """Write the equations of a rig's plant, as a diagnosis corrects it, or of a plant's TOML file; the model's name."""
     chosen = _written(_plant(Path(source), diagnosis))
     with replacing(out) as new:
-        new.write_text(modelica(chosen, _told(source, diagnosis)), encoding="utf-8")
+        new.write_text(modelica(chosen, _told(source, diagnosis)), encoding="utf-8", newline="\n")
     return chosen.name
 
 
@@ -73,7 +73,7 @@ def export_latex(source: Path | str, out: Path | str, diagnosis: Mapping | None 
     chosen = _written(_plant(Path(source), diagnosis))
     text = latex(chosen)
     with replacing(out) as new:
-        new.write_text(text + "\n", encoding="utf-8")
+        new.write_text(text + "\n", encoding="utf-8", newline="\n")
     return chosen.name
 
 
@@ -90,7 +90,7 @@ def export_mjcf(
         return _outside(Path(source), Path(out), chosen, names, _told(source, diagnosis))
     found = joints(_written(chosen), names, None if diagnosis is None else _plant(Path(source), None))
     with replacing(out) as new:
-        new.write_text(mjcf(found, _told(source, diagnosis)), encoding="utf-8")
+        new.write_text(mjcf(found, _told(source, diagnosis)), encoding="utf-8", newline="\n")
     return found
 
 
@@ -103,10 +103,10 @@ def _outside(source: Path, out: Path, chosen: Plant, names: Mapping[str, str], m
         raise InputError(f"{out}: is the rig's own model; choose another --out")
     made = corrected_model(rig, chosen, out, meaning)
     with replacing(out) as new:
-        new.write_text(made.xml, encoding="utf-8")
+        new.write_text(made.xml, encoding="utf-8", newline="\n")
     if made.python:
         with replacing(out.with_suffix(".py")) as new:
-            new.write_text(made.python, encoding="utf-8")
+            new.write_text(made.python, encoding="utf-8", newline="\n")
     return [_joint(chosen, made, place, e) for place, e in chosen.equations.items() if place.startswith("motion_")]
 
 

@@ -97,7 +97,7 @@ def _library(name: str, sources: Mapping[str, str], number: str) -> tuple[bytes,
     folder = f"{machine[0]}-{system[0]}" if number == "3" else f"{system[0]}{machine[1]}"
     with scratch() as work:
         for file, text in sources.items():
-            (work / file).write_text(text, encoding="utf-8")
+            (work / file).write_text(text, encoding="utf-8", newline="\n")
         target = f"{name}{system[1]}"
         ids = ("-Wl,--build-id=none",) if system[0] == "linux" else ()
         listed = sorted(file for file in sources if file.endswith(".c"))

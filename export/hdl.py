@@ -66,7 +66,7 @@ def export_fusesoc(project: Project, out: Path | str, architecture: str | None =
     with replacing_folder(out, "export", LATER) as new:
         for path, text in files.items():
             (new / path).parent.mkdir(exist_ok=True)
-            (new / path).write_text(text, encoding="utf-8")
+            (new / path).write_text(text, encoding="utf-8", newline="\n")
     return {"out": str(out), "core": f"greygate::{name}:1.0.0", "architecture": chosen, "files": sorted(files)}
 
 

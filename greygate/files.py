@@ -328,7 +328,7 @@ def write_manifest(folder: Path, kind: str) -> None:
     """List all files in the folder as written by greygate <kind>."""
     files = {name: _digest(folder / name) for name in _walk(folder) if name != MANIFEST}
     content = {"schema": SCHEMA, "kind": kind, "tool": f"greygate {__version__}", "files": files}
-    (folder / MANIFEST).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    (folder / MANIFEST).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
 
 
 def _digest(path: Path) -> str | None:

@@ -30,7 +30,7 @@ def load(kind: str, text: str) -> types.ModuleType:
         folder.mkdir(exist_ok=True)
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             with replacing(path) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+                temporary.write_text(text, encoding="utf-8", newline="\n")
         writable = os.access(folder, os.W_OK)
     except (OSError, InputError):
         writable = False

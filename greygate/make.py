@@ -163,11 +163,11 @@ def _tell(asked: Asked, done: Sequence[Done], path: Path) -> None:
     rows = [{**vars(d), "title": STEPS[d.name][0], "picture": _drawn(d.folder)} for d in done]
     page = story.page(f"greygate make: {asked.task.plant.name}", rows)
     with replacing(path) as new:
-        new.write_text(page, encoding="utf-8")
+        new.write_text(page, encoding="utf-8", newline="\n")
 
 
 def _draw(folder: Path, picture: Markup, name: str = PICTURE) -> None:
-    (folder / name).write_text(picture, encoding="utf-8")
+    (folder / name).write_text(picture, encoding="utf-8", newline="\n")
 
 
 def _drawn(folder: Path, name: str = PICTURE) -> Markup:
@@ -191,7 +191,7 @@ def _look(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
 def _diagnose(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     limit = Budget(asked.seconds / 2, DIAGNOSING)
     result, found = ask(asked.task, asked.heads, limit, progress, [*asked.held.values()])
-    (new / DIAGNOSIS).write_text(json_text(plain(found)), encoding="utf-8")
+    (new / DIAGNOSIS).write_text(json_text(plain(found)), encoding="utf-8", newline="\n")
     seen, fitted = story.diagnosed(result)
     _draw(new, seen)
     _draw(new, fitted, FITTED)
@@ -206,7 +206,7 @@ def _correct(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     absent = ", ".join({**found.filters, **found.readings})
     remarks += [f"not in this file: what the diagnosis says of {absent}, which no term can say"] if absent else []
     name = f"{asked.task.plant.name}.toml"
-    (new / name).write_text(text(found.plant, "\n".join(remarks)), encoding="utf-8")
+    (new / name).write_text(text(found.plant, "\n".join(remarks)), encoding="utf-8", newline="\n")
     _draw(new, _drawn(out / "diagnose", FITTED))
     fit = diagnosis["fit"]["holdout" if asked.held else "identify"]
     before, after = ({t: asked.shown(t, e[who]) for t, e in fit.items()} for who in ("simulation", "corrected"))
@@ -243,7 +243,7 @@ def _validate(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     judged = judge(Source(str(_network(asked, out)), {**learnt, **held}, settle), progress=progress)
     _draw(new, story.validated(judged, asked.judges))
     (new / FIGURES).write_text(
-        schemas.text("validate", judged.figures() | {"advice": advice(judged)}), encoding="utf-8"
+        schemas.text("validate", judged.figures() | {"advice": advice(judged)}), encoding="utf-8", newline="\n"
     )
     fresh = [v for v in judged.validations if v.record in asked.judges]
     fits = [f"{v.output} on {v.record}: fit {v.fit:.4g} %, {long_run(v)} over ten times the record" for v in fresh]
@@ -264,7 +264,7 @@ def _verify(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     project = Project.open(out / "compile" / BUILD)
     verdicts = [v for found in verify_project(project).values() for v in found.verdicts]
     study = study_of(project, (), progress)
-    (new / REPORT).write_text(json_text([study]), encoding="utf-8")
+    (new / REPORT).write_text(json_text([study]), encoding="utf-8", newline="\n")
     _draw(new, story.verified(study, asked.judges))
     if wrong := next((v for v in verdicts if v.mismatch), None):
         return Told(f"{wrong.architecture} on {wrong.scenario} differs: {wrong.mismatch}", REPORT, False)

@@ -184,8 +184,8 @@ def _write_bench(folder: Path, program: Program, record: Record) -> None:
     listing = "bench/scenario.hex"
     text, words = core_bench(program, program.encode(record.inputs), listing)
     (folder / "bench").mkdir()
-    (folder / "bench" / f"{program.name}__bench.v").write_text(text, encoding="utf-8")
-    (folder / listing).write_text(words, encoding="utf-8")
+    (folder / "bench" / f"{program.name}__bench.v").write_text(text, encoding="utf-8", newline="\n")
+    (folder / listing).write_text(words, encoding="utf-8", newline="\n")
 
 
 def fixed_and_float(compiled: Compiled, record: Record, before: Network | None = None) -> dict[str, dict]:
@@ -276,7 +276,7 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
             },
         }
     with replacing_all(result_files(project.folder)) as (found, *junits):
-        found.write_text(json_text(hardware), encoding="utf-8")
+        found.write_text(json_text(hardware), encoding="utf-8", newline="\n")
         for architecture, path in zip(NAMES, junits, strict=True):
             if architecture in results:
                 path.write_bytes(results[architecture].junit.read_bytes())
@@ -337,4 +337,4 @@ def clocks_per_step(project: Project, architecture: str, progress: Progress = si
 
 def _write_json(path: Path, value: object) -> None:
     with replacing(path) as temporary:
-        temporary.write_text(json_text(plain(value)), encoding="utf-8")
+        temporary.write_text(json_text(plain(value)), encoding="utf-8", newline="\n")

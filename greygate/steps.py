@@ -84,7 +84,7 @@ class Steps:
                 told = work(new, titled(self.progress, name))
                 done = Done(name, folder, told.figure, told.file, told.yes, round(monotonic() - began, 1), key)
                 facts = {k: v for k, v in asdict(done).items() if k in KEPT}
-                (new / STEP).write_text(tomli_w.dumps(facts), encoding="utf-8")
+                (new / STEP).write_text(tomli_w.dumps(facts), encoding="utf-8", newline="\n")
         self.done.append(done)
         return done
 

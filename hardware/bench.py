@@ -213,7 +213,7 @@ def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, repo
             clock.stop()
             verdict["seconds"] = time.perf_counter() - start
             verdicts.append(verdict)
-            report.write_text(json.dumps(verdicts), encoding="utf-8")
+            report.write_text(json.dumps(verdicts), encoding="utf-8", newline="\n")
 
     design, played = one_line(job["name"]), one_line(scenario["name"])  # they stand in XML
     run.__name__ = run.__qualname__ = f"{design}_{played}"

@@ -112,7 +112,7 @@ def built(
     """A temporary folder in which the program `bench` is built of a Verilog module of that name; as `simulate`."""
     with scratch() as work:
         for name, text in (*data.items(), ("bench.v", bench), ("main.cpp", MAIN.read_text())):
-            (work / name).write_text(text)
+            (work / name).write_text(text, encoding="utf-8", newline="\n")
         for path in files:
             shutil.copy(path, work)
         environment = simulator_environment()

@@ -110,7 +110,7 @@ def netlist(family: Family, place: PlaceAndRoute, folder: Path, top: str) -> str
         return f"write_json {NETLIST}"
     width_in, width_out = stream_widths((folder / f"{top}.v").read_text(), top)
     pins = render("pins.v", {"top": top, "width_in": width_in, "width_out": width_out}, __package__)
-    (folder / "greygate_pins.v").write_text(pins)
+    (folder / "greygate_pins.v").write_text(pins, encoding="utf-8", newline="\n")
     mapped = (
         f"design -save mapped; design -reset; read_verilog greygate_pins.v; {family.synth.format(top='greygate_pins')}"
     )

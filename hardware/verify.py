@@ -149,11 +149,15 @@ def verify_many(
     with scratch() as work:
         for name, file in files.items():
             shutil.copy(file, work / name)
-        (work / "bench.v").write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
+        (work / "bench.v").write_text(
+            "module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n", encoding="utf-8", newline="\n"
+        )
         start = time.perf_counter()
         build(["bench.v", *files], work, folder, environment, waves or since is not None)
         built = time.perf_counter()
-        (work / "job.json").write_text(json.dumps({"seed": seed, "designs": [d.job() for d in designs]}))
+        (work / "job.json").write_text(
+            json.dumps({"seed": seed, "designs": [d.job() for d in designs]}), encoding="utf-8", newline="\n"
+        )
         arrays = {k: v for d in designs for k, v in d.arrays().items()}
         np.savez(work / "job.npz", allow_pickle=False, **arrays)
         simulate(work, folder, junit, seed, environment, waves)
@@ -411,7 +415,7 @@ def run_logged(command: list[str], log: Path, environment: dict[str, str], where
     """Run a tool in a folder with its output in a file; InputError with the last line of that if the tool fails."""
     with (
         writing(log),
-        log.open("w", encoding="utf-8") as out,
+        log.open("w", encoding="utf-8", newline="\n") as out,
         children.started(command, cwd=where, env=environment, stdout=out, stderr=children.STDOUT) as tool,
     ):
         code = tool.wait()

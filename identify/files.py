@@ -258,7 +258,7 @@ def identify_files(
             of = Recording(recording.dt, {c: recording[c] for c in used}, {c: recording.units[c] for c in used})
             of.write_csv(new / f"{label}.csv")
         if drawn is not None and page is not None:
-            drawn.write_text(page(found, plain(kept)), encoding="utf-8")
+            drawn.write_text(page(found, plain(kept)), encoding="utf-8", newline="\n")
     records = " ".join(f"{out / n}.csv" for n in read_in)
     file = out / f"{name}.toml"
     return plain(

@@ -160,7 +160,7 @@ def init(
     train = f"greygate train {path.with_suffix('.toml')} {record} --tail 0.2 --out trained"
     if python:
         with replacing(files[0]) as new:
-            new.write_text(script(name, record, ins, outs, parts), encoding="utf-8")
+            new.write_text(script(name, record, ins, outs, parts), encoding="utf-8", newline="\n")
     else:
         said = (
             f"A network to start from; next: {train}",

@@ -169,7 +169,7 @@ def train_records(
             }
         )
         if drawn_page is not None and page is not None:
-            drawn_page.write_text(page(figures, shown), encoding="utf-8")
+            drawn_page.write_text(page(figures, shown), encoding="utf-8", newline="\n")
         trained.save(folder / network.name, json_text(figures))
     if not any(s.fit.outcome in (Outcome.INTERRUPTED, Outcome.TIME) for s in starts):
         for left in (f"{p}{suffix}" for p in paths for suffix in CHECKPOINTS):

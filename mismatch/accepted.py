@@ -28,7 +28,7 @@ def accept(folder: Path, found: Mapping) -> str:
     key = next(name for n in count(1) if (name := f"own_{place['equation']}{f'_{n}' * (n > 1)}") not in known)
     with replacing(path) as temporary:
         entry = _entry(key, found["plant"], place, unknown)
-        temporary.write_text(f"{before}\n{entry}" if before else entry, encoding="utf-8")
+        temporary.write_text(f"{before}\n{entry}" if before else entry, encoding="utf-8", newline="\n")
     return f"{path} has the effect {key} now: {place['formula']}"
 
 

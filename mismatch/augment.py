@@ -102,7 +102,7 @@ def augment(
             network.save(new / name)
         for name, r in read.items():
             r.write_csv(new / f"{name}.csv")
-        (new / FACTS).write_text(json.dumps(facts, indent=1) + "\n")
+        (new / FACTS).write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8", newline="\n")
     return facts
 
 

@@ -112,7 +112,7 @@ class Diagnosis:
     def write(self, path: Path | str) -> None:
         """Write diagnosis.json, whole or not at all."""
         with replacing(path) as temporary:
-            temporary.write_text(json.dumps(self.as_dict(), indent=1) + "\n")
+            temporary.write_text(json.dumps(self.as_dict(), indent=1) + "\n", encoding="utf-8", newline="\n")
 
     @cached_property
     def _where(self) -> list[dict]:

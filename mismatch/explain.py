@@ -166,7 +166,7 @@ class Explained:
             paths, texts = zip(*group, strict=True)
             with replacing_all(paths) as new:
                 for temporary, text in zip(new, texts, strict=True):
-                    temporary.write_text(text, encoding="utf-8")
+                    temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def _uncertain(folder: Path) -> Rig:

@@ -52,8 +52,8 @@ def init_rig(path: Path, record: str, inputs: Sequence[str], outputs: Sequence[s
     held = recording.samples - split >= 2 * FEWEST and split >= SHORTEST
     with replacing_folder(path, "init-rig") as new:
         lags = {y: _lag(recording, inputs, y) for y in outputs}
-        (new / "plant.toml").write_text(_plant(recording, inputs, lags), encoding="utf-8")
-        (new / "rig.toml").write_text(_rig(recording, inputs, lags, held), encoding="utf-8")
+        (new / "plant.toml").write_text(_plant(recording, inputs, lags), encoding="utf-8", newline="\n")
+        (new / "rig.toml").write_text(_rig(recording, inputs, lags, held), encoding="utf-8", newline="\n")
         write(recording, (*inputs, *outputs), slice(0, split if held else None), new / IDENTIFY)
         if held:
             write(recording, (*inputs, *outputs), slice(split, None), new / HOLDOUT)
@@ -145,4 +145,4 @@ def write(recording: Recording, names: Sequence[str], part: slice, path: Path) -
     columns = [recording[n][part] for n in names]
     clock = recording.dt * np.arange(len(columns[0]))
     rows = zip((f"{t:.12g}" for t in clock), *(map(repr, c.tolist()) for c in columns), strict=True)
-    path.write_text("\n".join([",".join(["t", *names]), *map(",".join, rows)]) + "\n", encoding="utf-8")
+    path.write_text("\n".join([",".join(["t", *names]), *map(",".join, rows)]) + "\n", encoding="utf-8", newline="\n")

@@ -255,7 +255,9 @@ class _Sheet:
     untold: Mapping[str, str] = field(default_factory=dict)
 
     def write(self, folder: Path) -> None:
-        (folder / "rig.toml").write_text("\n".join([*self._head(), *self._channels()]) + "\n", encoding="utf-8")
+        (folder / "rig.toml").write_text(
+            "\n".join([*self._head(), *self._channels()]) + "\n", encoding="utf-8", newline="\n"
+        )
 
     def _head(self) -> list[str]:
         dt, window = self.kept.dt, self.window

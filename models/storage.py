@@ -36,10 +36,10 @@ def save(network, path: Path | str, figures: str = "", comments: Mapping[str, st
     """
     tensors = safetensors.numpy.save({n: np.ascontiguousarray(v) for n, v in network.parameters().items()})
     with replacing_all(_files(path)) as (text, numbers, more):
-        text.write_text(_commented(tomli_w.dumps(to_toml(network)), comments), encoding="utf-8")
+        text.write_text(_commented(tomli_w.dumps(to_toml(network)), comments), encoding="utf-8", newline="\n")
         numbers.write_bytes(tensors)
         if figures:
-            more.write_text(figures, encoding="utf-8")
+            more.write_text(figures, encoding="utf-8", newline="\n")
 
 
 def _commented(text: str, comments: Mapping[str, str]) -> str:

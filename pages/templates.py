@@ -53,4 +53,4 @@ def _template(section: Callable) -> str:
 def write(html: str, path: Path | str) -> None:
     """Write a page completely or not at all. Raises InputError if the folder cannot be written."""
     with replacing(path) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+        temporary.write_text(html, encoding="utf-8", newline="\n")

@@ -1,5 +1,6 @@
 """What differs between systems stands in one file; without POSIX the commands work, or refuse in one line."""
 
+import ast
 import ctypes
 import os
 import re
@@ -36,6 +37,27 @@ def test_what_some_systems_lack_is_asked_for_in_one_file():
     }
     assert found.pop("greygate.system")
     assert found == {}
+
+
+def translated(path: Path) -> list[int]:
+    """The lines that write text as the system ends its lines."""
+    found = []
+    for call in (node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)):
+        name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+        given = {word.arg: word.value.value for word in call.keywords if isinstance(word.value, ast.Constant)}
+        modes = [a.value for a in call.args[:2] if isinstance(a, ast.Constant)] + [given.get("mode", "r")]
+        writes = name in ("open", "fdopen") and any(re.fullmatch(r"[wax]\+?t?", str(mode)) for mode in modes)
+        if (writes or name == "write_text") and given.get("newline") not in ("", "\n"):
+            found.append(call.lineno)
+    return found
+
+
+def test_what_is_written_is_the_same_byte_by_byte_on_every_system(tmp_path):
+    assert {name: lines for name, path in modules().items() if (lines := translated(path))} == {}
+    (tmp_path / "x.py").write_text(
+        "p.write_text(t, newline='\\n')\np.open('w')\nopen(p, 'x', newline='')\np.write_text(t)"
+    )
+    assert translated(tmp_path / "x.py") == [2, 4]
 
 
 @pytest.fixture(scope="module")

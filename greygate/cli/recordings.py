@@ -104,7 +104,7 @@ def look(
     with ExitStack() as both:  # or neither
         if html is not None:
             drawn = both.enter_context(replacing(html))
-            drawn.write_text(page(found, recording.name), encoding="utf-8")
+            drawn.write_text(page(found, recording.name), encoding="utf-8", newline="\n")
         if made is not None and out is not None:
             made.write_csv(out)
     lines = aligned(rows(found), COLUMNS[:3]) + [f"written to {path}" for path in (out, html) if path is not None]

@@ -91,7 +91,7 @@ def served(readers: Mapping[str, Callable[[], Read]], kind: str, source: str, fo
                     told.append([name, kept])
         if asked:
             raise InputError(f"asks for {asked[0]}; what a file says is never run")
-        (Path(folder) / "told.json").write_text(json.dumps(told), encoding="utf-8")
+        (Path(folder) / "told.json").write_text(json.dumps(told), encoding="utf-8", newline="\n")
         print("" if bound else UNBOUND_WORD)
         return 0
     except InputError as error:

@@ -109,7 +109,7 @@ def make(
             if not facts["meets"]:
                 (new / facts["bitstream"]).unlink(missing_ok=True)
                 facts["bitstream"] = None
-        (new / FACTS).write_text(json_text(facts), encoding="utf-8")
+        (new / FACTS).write_text(json_text(facts), encoding="utf-8", newline="\n")
     return facts
 
 

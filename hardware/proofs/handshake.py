@@ -59,7 +59,7 @@ def _proof(what: str, files: Sequence[Path], check: str, of: Sequence[str], seco
     with timed() as spent, scratch() as work:
         for path in files:
             copy(path, work)
-        (work / "handshake.v").write_text(check)
+        (work / "handshake.v").write_text(check, encoding="utf-8", newline="\n")
         log = yosys(f"{reading([*files, Path('handshake.v')])}; {PREPARED}; {sat}", work)
     how = f"SAT over {clocks} clocks" if clocks else "SAT and induction"
     if "SUCCESS!" in log:

@@ -88,8 +88,8 @@ def _models(models: str, folder: Path) -> list[Path]:
     written = own.read_text()
     for name in (line.split()[1].split("(")[0] for line in written.splitlines() if line.startswith("module ")):
         text = _without(text, name)
-    (folder / "cells_sim.v").write_text(text)
-    (folder / "cells_more.v").write_text(written)
+    (folder / "cells_sim.v").write_text(text, encoding="utf-8", newline="\n")
+    (folder / "cells_more.v").write_text(written, encoding="utf-8", newline="\n")
     return [folder / "cells_sim.v", folder / "cells_more.v"]
 
 

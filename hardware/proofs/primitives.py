@@ -47,7 +47,7 @@ def _proof(files: Sequence[Path], block: Block, seconds: int) -> Proof:
         for path in files:
             shutil.copy(path, work)
         clocks = REFERENCES[block.name][1]
-        (work / "check.v").write_text(reference(block))
+        (work / "check.v").write_text(reference(block), encoding="utf-8", newline="\n")
         prepared = "hierarchy -top check; proc; flatten; opt -full -share_all; memory; opt -share_all"
         sat = f"sat -seq {clocks + 1} -prove-skip {clocks} -prove ok 1 -show-inputs -show ok -timeout {seconds}"
         log = yosys(f"{reading([*files, Path('check.v')])}; {prepared}; {sat}", work)

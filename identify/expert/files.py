@@ -78,10 +78,10 @@ def _written(built: Built, files: Mapping[str, str], out: Path) -> dict:
     first = next(iter(built.rms["network"]))
     built.network.save(out / name, json_text(plain(kept)))
     with replacing(out / f"{name}.decisions.txt") as path:
-        path.write_text(built.log.text, encoding="utf-8")
+        path.write_text(built.log.text, encoding="utf-8", newline="\n")
     if built.diagnosis is not None:
         with replacing(out / f"{name}.diagnosis.json") as path:
-            path.write_text(json_text(plain(built.diagnosis)), encoding="utf-8")
+            path.write_text(json_text(plain(built.diagnosis)), encoding="utf-8", newline="\n")
     judged = [n for n in built.rms["network"] if n not in files or n != first]
     command = f"greygate compile {out / name}.toml {next(iter(files.values()))} --out {out / 'compiled'}"
     about = {"better": _better(built, judged), "seconds": round(built.seconds, 1), "neurons": built.network.neurons()}

@@ -111,14 +111,16 @@ def conceal(
     )
 
     with replacing_folder(out, "conceal") as folder:
-        (folder / "rig.toml").write_text(_toml(seen, datasheet))
+        (folder / "rig.toml").write_text(_toml(seen, datasheet), encoding="utf-8", newline="\n")
         if rig.own:
             shutil.copyfile(PLANTS / f"{plant}.toml", folder / f"{plant}.toml")
         for name, columns in recordings.items():
             _write(folder / f"{name}.csv", seen, columns)
         sealed = json.dumps(answer, indent=1) + "\n"
-        (folder / "sealed.json").write_text(sealed)
-        (folder / "sealed.json.sha256").write_text(f"{hashlib.sha256(sealed.encode()).hexdigest()}  sealed.json\n")
+        (folder / "sealed.json").write_text(sealed, encoding="utf-8", newline="\n")
+        (folder / "sealed.json.sha256").write_text(
+            f"{hashlib.sha256(sealed.encode()).hexdigest()}  sealed.json\n", encoding="utf-8", newline="\n"
+        )
     return Path(out)
 
 

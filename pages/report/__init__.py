@@ -37,5 +37,5 @@ def write(
     html, text = page(studies, tables), json.dumps(list(studies), indent=1, allow_nan=False, ensure_ascii=False)
     text = re.sub(r"\[[^][{}]*\]", lambda found: " ".join(found[0].split()), text)  # a list of numbers on one line
     with replacing_all([html_path, json_path]) as (first, second):
-        first.write_text(html, encoding="utf-8")
-        second.write_text(text + "\n", encoding="utf-8")
+        first.write_text(html, encoding="utf-8", newline="\n")
+        second.write_text(text + "\n", encoding="utf-8", newline="\n")
