@@ -358,6 +358,7 @@ def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no c
     ring = t.depth + 1
     adjoint = np.zeros((ring, now.shape[1]))
     slopes, active = np.empty((now.shape[1], LANES)), np.zeros((now.shape[1], LANES), np.int64)
+    twins = np.empty_like(slopes)  # a product's, which no network of this benchmark has
     delta = np.empty(now.shape[1])
     for k in range(len(error) - 1, -1, -1):
         a, at = adjoint[k % ring], t.depth + k
@@ -365,7 +366,7 @@ def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no c
             a[t.rows[t.shown[j]]] += error[k, j]
         lane = k % LANES
         if lane == LANES - 1 or k == len(error) - 1:
-            slopes_at(t.layers, t.links, theta, at - lane, lane + 1, now, past, slopes, active)
+            slopes_at(t.layers, t.links, theta, at - lane, lane + 1, now, past, slopes, twins, active)
         for layer in range(len(t.layers) - 2, -1, -1):
             first, size, kind, bias, lo = t.layers[layer]
             acts = False

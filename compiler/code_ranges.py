@@ -7,7 +7,7 @@ are set to.
 from collections.abc import Callable
 
 from greygate.emulator.numbers import Fix, Overflow, Rounding
-from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Threshold
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Product, Program, Select, Threshold
 
 Interval = tuple[int, int]  # (lo, hi), both possible
 
@@ -91,10 +91,20 @@ def _select(program: Program, o: Select, args: list[list[Interval]]) -> list[Int
     return found
 
 
+def _product(program: Program, o: Product, args: list[list[Interval]]) -> list[Interval]:
+    shift = sum(program.signals[a].fix.frac for a in o.args) - o.out.fix.frac
+    found = []
+    for one, other in zip(*args, strict=True):
+        ends = [a * b for a in one for b in other]
+        found.append(fitted(rounded((min(ends), max(ends)), shift, o.rounding), o.out.fix, o.overflow))
+    return found
+
+
 _OF: dict[Op, Callable[..., list[Interval]]] = {
     Op.AFFINE: _affine,
     Op.TABLE: _table,
     Op.CLAMP: _clamp,
     Op.THRESHOLD: _threshold,
     Op.SELECT: _select,
+    Op.PRODUCT: _product,
 }

@@ -37,11 +37,11 @@ def emitted(program: Program, architecture: str = "parallel", design: Design = D
     texts = chosen.files(program, design)
     if isinstance(chosen, Architecture):
         blocks = set(re.findall(r"^ *(greygate_\w+) #\(", "".join(texts.values()), re.M))
-        if {"greygate_clamp", "greygate_select"} & blocks:
+        if {"greygate_clamp", "greygate_select", "greygate_multiply"} & blocks:
             blocks.add("greygate_requantize")
         if "greygate_stream" in blocks:
             blocks.add("greygate_skid")
-        if any("greygate_lookup" in text for text in texts.values()):
+        if any(name in text for text in texts.values() for name in ("greygate_lookup", "greygate_multiply")):
             blocks.add("greygate_product")
         texts |= {f"{b}.v": rtl.block(b).read_text() for b in sorted(blocks)}
         texts |= {f"{program.name}.f": "\n".join(texts) + "\n"}

@@ -24,6 +24,7 @@ from greygate.emulator.program import (
     Lookup,
     Op,
     Operation,
+    Product,
     Program,
     Select,
     Signal,
@@ -209,7 +210,7 @@ class _Quantizer:
             fix = self.formats.signals.get(name, holds)
         elif f.lowered == Op.THRESHOLD:
             fix = Fix(2, 0)
-        elif f.lowered == Op.CLAMP:
+        elif f.lowered in (Op.CLAMP, Op.PRODUCT):
             fix = self.fix(name, width)
         else:
             fix = self.fix(name, width)
@@ -289,6 +290,8 @@ class _Quantizer:
         lowered, (low, high) = layer.function.lowered, layer.function.image
         if lowered == Op.SELECT:
             return self._select(name)
+        if lowered == Op.PRODUCT:
+            return self._product(name)
         sign_test = lowered == Op.THRESHOLD
         if sign_test and self._comparator(name):
             return None
@@ -354,6 +357,21 @@ class _Quantizer:
             made[part] = direct or self._part(part, rows, slopes.get(part), made.get(f"{name}.above"))
         condition, above, below = (made[part].name for part in parts)
         self.operations.append(Select(out, condition, above, below, self.formats.rounding))
+
+    def _product(self, name: str) -> None:
+        """Two signals multiplied: earlier ones where the rows are plain, and else sums; the wider one first."""
+        factors = [self._factor(part, rows) for part, rows in sums(name, self.layers[name]).items()]
+        one, other = sorted(factors, key=lambda s: -s.fix.width)
+        self.operations.append(Product(self.signals[name], one.name, other.name, self.formats.rounding))
+
+    def _factor(self, part: str, rows: slice) -> Signal:
+        name = part.rpartition(".")[0]
+        plain, layer = self._plain(name, rows), self.layers[name]
+        if plain is not None and plain[2:] == (1.0, 0.0):
+            return self._narrow(self._delayed(*plain[:2]))
+        signal = Signal(part, layer.size, self.formats.signals.get(part, self.fix(part, self.formats.width)))
+        self._affine(signal, layer.bias[rows], self._summed(name, rows))
+        return signal
 
     def _part(self, part: str, rows: slice, slope: np.ndarray | None, above: Signal | None) -> Signal:
         """A sum of a multiplexer. slope: by which it is the sum above, whose sign serves as a condition."""

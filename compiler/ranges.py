@@ -10,6 +10,7 @@ from greygate.models.network import Layer, Network
 from greygate.models.training.objective import Objective, traces
 from greygate.models.training.record import Record
 
+PARTS = {"select": ("condition", "above", "below"), "product": ("one", "other")}  # sums of a neuron that has several
 WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still grows is called unbounded
 
 
@@ -32,11 +33,9 @@ class Range:
 
 
 def sums(name: str, layer: Layer) -> dict[str, slice]:
-    """The sums of a layer by signal name, as slices of its rows: `layer.n`, or the three parts of a select."""
-    if layer.function.rows == 1:
-        return {f"{name}.n": slice(None)}
-    size = layer.size
-    return {f"{name}.{part}": slice(i * size, (i + 1) * size) for i, part in enumerate(("condition", "above", "below"))}
+    """The sums of a layer by signal name, as slices of its rows: `layer.n`, or the parts of a select or a product."""
+    size, parts = layer.size, PARTS.get(layer.function.lowered, ("n",))
+    return {f"{name}.{part}": slice(i * size, (i + 1) * size) for i, part in enumerate(parts)}
 
 
 def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
@@ -119,6 +118,10 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
                 (_, *a), (_, *b) = np.split(a, 3), np.split(b, 3)
                 a = np.where(always, a[0], np.where(never, a[1], np.minimum(*a)))
                 b = np.where(always, b[0], np.where(never, b[1], np.maximum(*b)))
+            elif f.lowered == "product":
+                (low_one, low_other), (high_one, high_other) = np.split(a, 2), np.split(b, 2)
+                corners = [_times(x, y) for x in (low_one, high_one) for y in (low_other, high_other)]
+                a, b = np.min(corners, axis=0), np.max(corners, axis=0)
             else:
                 a, b = _at(f, a), _at(f, b)
             grow_low, grow_high = a < low[name] - 1e-12, b > high[name] + 1e-12

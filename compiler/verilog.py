@@ -10,13 +10,25 @@ from typing import NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from greygate.emulator.numbers import Rounding
-from greygate.emulator.program import Clamp, Elementwise, Lookup, Op, Operation, Program, Select, Signal, Threshold
+from greygate.emulator.program import (
+    Clamp,
+    Elementwise,
+    Lookup,
+    Op,
+    Operation,
+    Product,
+    Program,
+    Select,
+    Signal,
+    Threshold,
+)
 from greygate.emulator.tables import Lines, Segments, Symmetry, Table
 from greygate.errors import InputError, one_line
 
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
 LOOKUP_CLOCKS = 3  # clocks from a code to the answer of a table: word, product, sum
-LATE_CLOCKS = 4  # the same with a register behind the memory
+PRODUCT_CLOCKS = 2  # clocks from two codes to their product: exact, in its format
+LATE_CLOCKS = 4  # clocks of a table with a register behind the memory
 MEMORIES = {"block": '(* rom_style = "block" *) ', "logic": '(* rom_style = "logic" *) '}  # and how a tool is told
 LONGEST = 110  # characters of a line of items
 SYMMETRY = {Symmetry.ODD: 0, Symmetry.EVEN: 1, Symmetry.COMPLEMENT: 2}
@@ -324,7 +336,7 @@ def table_texts(program: Program, memory: str = "block", late: bool = False) -> 
 
 def clocks(o: Operation) -> int:
     """Clocks from the arguments of an operation to its result."""
-    return LOOKUP_CLOCKS if isinstance(o, Lookup) else 1
+    return {Op.TABLE: LOOKUP_CLOCKS, Op.PRODUCT: PRODUCT_CLOCKS}.get(o.op, 1)
 
 
 # Each small operation of `size` elements: module, parameters, and the ports that take its arguments, in their order.
@@ -359,11 +371,24 @@ def _select(program: Program, o: Select, size: int) -> Block:
     return "greygate_select", parameters, ("condition", "above", "below")
 
 
-_BLOCKS: dict[Op, Callable] = {Op.TABLE: _lookup, Op.CLAMP: _clamp, Op.THRESHOLD: _threshold, Op.SELECT: _select}
+def _product(program: Program, o: Product, size: int) -> Block:
+    one, other = (program.signals[a].fix for a in o.args)
+    parameters = {"SIZE": size, "ONE_W": one.width, "OTHER_W": other.width, "OUT_W": o.out.fix.width}
+    parameters |= {"SHIFT": one.frac + other.frac - o.out.fix.frac, "ROUNDING": ROUNDING[o.rounding]}
+    return "greygate_multiply", parameters, ("one", "other")
+
+
+_BLOCKS: dict[Op, Callable] = {
+    Op.TABLE: _lookup,
+    Op.CLAMP: _clamp,
+    Op.THRESHOLD: _threshold,
+    Op.SELECT: _select,
+    Op.PRODUCT: _product,
+}
 
 
 def small_operation(program: Program, o: Elementwise, size: int) -> Block:
-    """The block that computes `size` elements of a table (in LOOKUP_CLOCKS), clamp, threshold or select (in one)."""
+    """The block that computes `size` elements of a table, clamp, threshold, select or product, in `clocks`."""
     return _BLOCKS[o.op](program, o, size)
 
 

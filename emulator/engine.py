@@ -14,11 +14,11 @@ import numpy as np
 
 from greygate.emulator.interpreter import Run
 from greygate.emulator.numbers import ACCUMULATOR_BITS, Overflow, Rounding
-from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Threshold
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Product, Program, Select, Threshold
 from greygate.emulator.tables import Lines, Symmetry, Table
 
 EXACT_BITS = 53  # integers up to 2^53 are exact in float64
-AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD, SELECT, LINES = range(7)
+AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD, SELECT, LINES, PRODUCT = range(8)
 COLUMNS = 13  # kind, first element of the result, its size, and the numbers that the kind needs
 # unsigned, so that numba omits its check for negative indices and the loops become vector code
 ZERO, ONE, TWO, THREE, FOUR = (np.uint64(n) for n in range(5))
@@ -122,6 +122,10 @@ class _Tabulator:
         places, modes = (self.first[a] for a in o.args), (o.out.fix.width, _ROUNDING.index(o.rounding))
         return (SELECT, *places, *modes, self.drop(o.above, o), self.drop(o.below, o))
 
+    def product(self, o: Product) -> tuple:
+        shift = min(sum(self.program.signals[a].fix.frac for a in o.args) - o.out.fix.frac, ACCUMULATOR_BITS)
+        return (PRODUCT, *(self.first[a] for a in o.args), o.out.fix.width, _ROUNDING.index(o.rounding), shift)
+
 
 _TABULATE: dict[Op, Callable] = {
     Op.AFFINE: _Tabulator.affine,
@@ -129,6 +133,7 @@ _TABULATE: dict[Op, Callable] = {
     Op.CLAMP: _Tabulator.clamp,
     Op.THRESHOLD: _Tabulator.threshold,
     Op.SELECT: _Tabulator.select,
+    Op.PRODUCT: _Tabulator.product,
 }
 
 
@@ -297,6 +302,15 @@ def _run(
                             y = _round(np.int64(value[above + r]), op[8], op[7])
                         else:
                             y = _round(np.int64(value[below + r]), op[9], op[7])
+                        if y > hi or y < -hi - 1:
+                            saturations[n] += 1
+                            y = hi if y > hi else -hi - 1
+                        value[out + r] = y
+                elif kind == PRODUCT:
+                    one, other = np.uint64(op[3]), np.uint64(op[4])
+                    hi = (np.int64(1) << (op[5] - 1)) - 1
+                    for r in range(size):
+                        y = _round(np.int64(value[one + r]) * np.int64(value[other + r]), op[7], op[6])
                         if y > hi or y < -hi - 1:
                             saturations[n] += 1
                             y = hi if y > hi else -hi - 1

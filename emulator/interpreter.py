@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greygate.emulator.numbers import ACCUMULATOR_BITS, Fix, Overflow, Rounding
-from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Signal, Threshold
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Product, Program, Select, Signal, Threshold
 from greygate.emulator.tables import Lines, Segments, Symmetry, Table
 
 
@@ -102,12 +102,17 @@ def _select(
     return np.where(first, above, below), frac
 
 
+def _product(program: Program, o: Product, one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, int]:
+    return one * other, sum(program.signals[a].fix.frac for a in o.args)
+
+
 PERFORM: dict[Op, Callable] = {
     Op.AFFINE: _affine,
     Op.TABLE: _table,
     Op.CLAMP: _clamp,
     Op.THRESHOLD: _threshold,
     Op.SELECT: _select,
+    Op.PRODUCT: _product,
 }
 
 

@@ -51,6 +51,7 @@ class Op(StrEnum):
     CLAMP = "clamp"
     THRESHOLD = "threshold"
     SELECT = "select"
+    PRODUCT = "product"
 
 
 def _is_finite(value: float) -> bool:
@@ -259,7 +260,27 @@ class Select(Elementwise):
             yield f"{self.out.name}: needs {width} bits on the way, more than {ACCUMULATOR_BITS}"
 
 
-Operation = Affine | Lookup | Clamp | Threshold | Select
+@dataclass(frozen=True)
+class Product(Elementwise):
+    """out = requantize(one * other): two signals multiplied, exact up to a single rounding, saturated."""
+
+    one: Name
+    other: Name
+    rounding: Rounding = Rounding.HALF_UP
+    op = Op.PRODUCT
+    overflow = Overflow.SATURATE
+    reads = ("one", "other")
+    requantizes = True
+
+    def problems(self, program: "Program") -> Iterator[str]:
+        yield from super().problems(program)
+        one, other = (program.signals[a].fix for a in self.args)
+        width = one.width + other.width + max(0, self.out.fix.frac - one.frac - other.frac)
+        if width > ACCUMULATOR_BITS:
+            yield f"{self.out.name}: needs {width} bits on the way, more than {ACCUMULATOR_BITS}"
+
+
+Operation = Affine | Lookup | Clamp | Threshold | Select | Product
 _KINDS = {kind.op: kind for kind in get_args(Operation)}
 
 

@@ -29,7 +29,7 @@ class Activation:
     value: Callable[[Any, Any], Any]
     slope: Callable[..., Any]
     image: tuple[float, float]
-    lowered: Literal["affine", "table", "clamp", "threshold", "select"]
+    lowered: Literal["affine", "table", "clamp", "threshold", "select", "product"]
     symmetry: Literal["odd", "even", "complement"] | None = None
     flat_from: Callable[[float, float], float] | None = None
     rows: int = 1
@@ -56,6 +56,12 @@ def _select(xp, n):
     """Rows of n in three parts: where the first is not negative the second, else the third."""
     size = n.shape[-1] // 3
     return xp.where(n[..., :size] >= 0, n[..., size : 2 * size], n[..., 2 * size :])
+
+
+def _product(xp, n):
+    """Rows of n in two parts, one times the other."""
+    size = n.shape[-1] // 2
+    return n[..., :size] * n[..., size:]
 
 
 _ATANH = tuple(1 / k for k in range(35, 0, -2))  # of atanh(s) / s in s^2, exact to a bit up to s = 1 / 3
@@ -167,6 +173,13 @@ ACTIVATIONS: dict[str, Activation] = {
         image=(-math.inf, math.inf),
         lowered="select",
         rows=3,
+    ),
+    "product": Activation(  # two signals multiplied
+        value=_product,
+        slope=lambda xp, y: 1.0,  # by each row the sum of the other
+        image=(-math.inf, math.inf),
+        lowered="product",
+        rows=2,
     ),
     "softsign": Activation(
         value=lambda xp, n: n / (1.0 + abs(n)),

@@ -52,7 +52,7 @@ class Layer:
     """activation(sum_p weights[p] @ input_p + bias). Raises InputError for an activation that does not exist.
 
     weights: port -> (rows, n). bias: (rows,). initial: (size,), its output before the first step. A neuron is a row;
-    only `select`, a multiplexer, has three rows a neuron (`models.activations`).
+    only `select`, a multiplexer, has three rows a neuron, and `product` two (`models.activations`).
     frozen: names of ports (or "bias") that training leaves as they are.
 
     >>> memory = Layer({"u": [[0.08]], "y": [[0.9]]}, [0.0])

@@ -75,10 +75,11 @@ def linearised(network: Network, record: Record) -> Linearised | None:
     joined = {d: np.zeros((size, inputs + size)) for d in delays}
     for name, layer in flat.layers().items():
         sources = {port: feeds[f"{name}.{port}"] for port in layer.weights}
-        slope, rows = _slope(layer, {port: mean[elements[source]] for port, (source, _) in sources.items()})
-        for port, (source, delay) in sources.items():
-            here = np.ix_(elements[name] - inputs, elements[source])
-            joined[delay][here] += slope[:, None] * layer.weights[port][rows]
+        at = {port: mean[elements[source]] for port, (source, _) in sources.items()}
+        for slope, rows in _slopes(layer, at):
+            for port, (source, delay) in sources.items():
+                here = np.ix_(elements[name] - inputs, elements[source])
+                joined[delay][here] += slope[:, None] * layer.weights[port][rows]
     columns = np.concatenate([elements[feeds[p.name][0]] for p in flat.outputs]) - inputs
     scales = [np.concatenate([np.full(p.size, p.scale) for p in ports]) for ports in (flat.outputs, flat.inputs)]
     return Linearised(
@@ -89,13 +90,15 @@ def linearised(network: Network, record: Record) -> Linearised | None:
     )
 
 
-def _slope(layer: Layer, at: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """(slope of each neuron (size,), the row of weights that acts) where its ports stand at these values."""
+def _slopes(layer: Layer, at: dict[str, np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(slope of each neuron (size,), a row of weights that acts) where its ports stand at these values."""
     n = layer.bias + sum(layer.weights[port] @ value for port, value in at.items())
     kind = ACTIVATIONS[layer.activation]
     rows = np.arange(layer.size)
+    if kind.lowered == "product":
+        return [(n[layer.size :], rows), (n[: layer.size], rows + layer.size)]
     if kind.rows > 1:  # condition, value where that is >= 0, value else
         rows = rows + np.where(n[: layer.size] >= 0, layer.size, 2 * layer.size)
     y = kind.value(np, n)
     both = zip(y, n[rows], strict=True)
-    return np.array([kind.slope(np, *(pair if kind.slope_reads_n else pair[:1])) for pair in both]), rows
+    return [(np.array([kind.slope(np, *(pair if kind.slope_reads_n else pair[:1])) for pair in both]), rows)]

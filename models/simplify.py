@@ -79,7 +79,7 @@ def merge_linear(network: Network, always: bool = False) -> Network:
     """Multiply linear layers into the weights of those that read them, gains and normalisations included.
 
     A layer is merged if that costs no further multiplication (a bottleneck such as 10 -> 1 -> 20 neurons stays). With
-    `always`, it is merged wherever that is possible.
+    `always`, it is merged wherever that is possible. A sum that a product reads as it is stays one.
     """
     g = Graph(network.flatten())
     changed = True
@@ -92,6 +92,8 @@ def merge_linear(network: Network, always: bool = False) -> Network:
             start = g.flat.rest() | {n: part.initial for n, part in g.layers.items()}
             before = layer.bias + sum(product(w, start[s]) for s, _, w, _ in g.terms(name))
             if any(d for _, _, d in readers) and not np.allclose(before, layer.initial, rtol=0, atol=1e-15):
+                continue
+            if not _copies(layer) and _multiplied(g, name):
                 continue
             inner = g.terms(name)
             now = sum(_cost(w) for _, _, w, _ in inner) + sum(_cost(g.layers[r].weights[p]) for r, p, _ in readers)
@@ -110,6 +112,24 @@ def merge_linear(network: Network, always: bool = False) -> Network:
             g.drop(name)
             changed = True
     return g.network()
+
+
+def _copies(layer: Layer, rows: np.ndarray | slice = slice(None)) -> str:
+    """The port that rows of a layer are, element by element; "" if they are a sum."""
+    read = [(p, w[rows]) for p, w in layer.weights.items() if w[rows].any()]
+    plain = len(read) == 1 and not layer.bias[rows].any() and np.array_equal(read[0][1], np.eye(layer.size))
+    return read[0][0] if plain else ""
+
+
+def _multiplied(g: Graph, name: str) -> bool:
+    """Whether a product reads the signal as it is, or a copy of it."""
+    for reader, port, _ in g.readers(name):
+        layer = g.layers[reader]
+        if layer.activation == "product" and port in [_copies(layer, rows) for rows in _rows(layer)]:
+            return True
+        if layer.is_linear and reader != name and _copies(layer) == port and _multiplied(g, reader):
+            return True
+    return False
 
 
 def fold_constants(network: Network) -> Network:
@@ -171,7 +191,7 @@ def remove_dead(network: Network) -> Network:
 
 
 def _rows(layer: Layer) -> np.ndarray:
-    """(rows per neuron, neurons): the rows of each neuron's sums; a multiplexer has three, any other neuron one."""
+    """(rows per neuron, neurons): the rows of each neuron's sums, of which most neurons have one."""
     return np.arange(layer.rows).reshape(-1, layer.size)
 
 

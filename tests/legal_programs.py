@@ -11,6 +11,7 @@ from greygate.emulator.program import (
     Clamp,
     Lookup,
     Operation,
+    Product,
     Program,
     Select,
     Signal,
@@ -198,8 +199,26 @@ class _Drawing:
         args = self.pick(alike).name, *self.pick(((above.name, below.name), (below.name, above.name)))
         return Select(out, *args, self.pick(list(Rounding)))
 
+    def product(self, name: str) -> Product | Clamp:
+        """A product of two signals that are narrow enough; a clamp where there are none."""
+
+        def left(a: Signal, b: Signal) -> int:
+            return ACCUMULATOR_BITS - a.fix.width - b.fix.width
+
+        same = [(a, b) for a in self.known for b in self.known if a.size == b.size and left(a, b) >= 0]
+        pairs = [(a, b) for a, b in same if a.fix.frac + b.fix.frac + left(a, b) >= LOWEST]
+        if not pairs:
+            return self.clamp(name)
+        one, other = self.pick(pairs)
+        exact, width = one.fix.frac + other.fix.frac, self.width()
+        greatest = min(HIGHEST, exact + left(one, other))
+        frac = self.near(exact - one.fix.width - other.fix.width + width, LOWEST, greatest)
+        if self.chance(0.1):
+            frac = min(max(exact, LOWEST), greatest)
+        return Product(Signal(name, one.size, Fix(width, frac)), one.name, other.name, self.pick(list(Rounding)))
+
     def operation(self, n: int) -> None:
-        kinds = (self.lookup, self.lookup, self.clamp, self.threshold, self.select)
+        kinds = (self.lookup, self.lookup, self.lookup, self.clamp, self.threshold, self.select, self.product)
         if self.chance(0.4):
             fix = Fix(self.width(), self.near(20))
             self.add(self.affine(self.signal(f"x{n}", self.pick(SIZES), fix)))

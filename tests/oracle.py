@@ -6,7 +6,7 @@ import numpy as np
 
 from greygate.emulator.interpreter import Run
 from greygate.emulator.numbers import Fix, Overflow, Rounding
-from greygate.emulator.program import Affine, Clamp, Lookup, Program, Select, Threshold
+from greygate.emulator.program import Affine, Clamp, Lookup, Product, Program, Select, Threshold
 from greygate.emulator.tables import Lines, Symmetry, Table
 
 
@@ -98,6 +98,10 @@ def operate(program: Program, o, value: dict[str, list[int]]) -> tuple[list[int]
             done.append(requantize(limited, fix[o.arg].frac, o.out.fix, o.rounding, Overflow.SATURATE))
     elif isinstance(o, Threshold):
         done = [(o.above if code >= o.at else o.below, 0) for code in value[o.arg]]
+    elif isinstance(o, Product):
+        exact = [one * other for one, other in zip(value[o.one], value[o.other], strict=True)]
+        frac = fix[o.one].frac + fix[o.other].frac
+        done = [requantize(code, frac, o.out.fix, o.rounding, Overflow.SATURATE) for code in exact]
     else:
         assert isinstance(o, Select)
         for r, code in enumerate(value[o.condition]):
@@ -108,7 +112,7 @@ def operate(program: Program, o, value: dict[str, list[int]]) -> tuple[list[int]
 
 def perform(program: Program, codes: list[list[int]]) -> Answer:
     """Every step of the program over input codes, a row a step."""
-    rounded = [o.out.name for o in program.operations if isinstance(o, Affine | Clamp | Select)]
+    rounded = [o.out.name for o in program.operations if isinstance(o, Affine | Clamp | Product | Select)]
     answer = Answer([], [], {name: [] for name in program.signals}, dict.fromkeys(rounded, 0))
     now = {s.signal.name: list(s.initial) for s in program.states}
     for row in codes:

@@ -5,7 +5,18 @@ import math
 import numpy as np
 
 from greygate.emulator.numbers import Fix, Overflow, Rounding
-from greygate.emulator.program import Affine, Clamp, Lookup, Program, Select, Signal, State, Terminal, Threshold
+from greygate.emulator.program import (
+    Affine,
+    Clamp,
+    Lookup,
+    Product,
+    Program,
+    Select,
+    Signal,
+    State,
+    Terminal,
+    Threshold,
+)
 from greygate.emulator.tables import Symmetry, Table
 
 FUNCTIONS = {
@@ -100,6 +111,11 @@ def random_program(seed: int, name: str | None = None) -> Program:
             alike = [s.name for s in known if s.size == arg.size]
             args = (alike[rng.integers(len(alike))] for _ in range(3))
             operations.append(Select(Signal(out.name, arg.size, out.fix), *args, pick(*Rounding)))
+        elif kind == 5:
+            alike = [s for s in known if s.size == arg.size]
+            one, other = (alike[rng.integers(len(alike))] for _ in range(2))
+            out_fix = Fix(out.fix.width, min(out.fix.frac, one.fix.frac + other.fix.frac + 12))
+            operations.append(Product(Signal(out.name, arg.size, out_fix), one.name, other.name, pick(*Rounding)))
         else:
             operations.append(affine(out))
         known = [*known, operations[-1].out]

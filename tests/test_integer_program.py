@@ -18,6 +18,7 @@ from greygate.emulator.program import (
     Clipped,
     Lookup,
     Operation,
+    Product,
     Program,
     Select,
     Signal,
@@ -95,6 +96,10 @@ LIMITS = {
         Select(out(48, 9), "u0", "u0", "u1"), inputs=(Fix(48, 0), Fix(48, 14 + beyond))
     ),
     "the result of a select": lambda beyond: program_of(Select(out(48, 14 + beyond), "u0", "u0", "u0")),
+    "a product": lambda beyond: program_of(Product(out(48, 0), "u0", "u1"), inputs=(Fix(48, 0), Fix(14 + beyond, 0))),
+    "a product shifted to the left": lambda beyond: program_of(
+        Product(out(48, 12 + beyond), "u0", "u0"), inputs=(Fix(25, 0),)
+    ),
     "the code of a threshold": lambda beyond: program_of(Threshold(out(), "u0", (1 << 47) - 1 + beyond, 0, 1)),
     "the answer of a threshold": lambda beyond: program_of(Threshold(out(4), "u0", 0, -8 - beyond, 7)),
     "a table's shift": lambda beyond: table(8 + beyond, (-7, 5), Fix(8, 0), Fix(8, 0), interpolated=False),
@@ -163,6 +168,11 @@ def test_the_random_programs_reach_every_limit_of_the_text():
     assert min(shift for _, shift in sums) <= -40
     clamps = {p.signals[o.arg].fix.frac - o.out.fix.frac for p, o in pairs if isinstance(o, Clamp)}
     assert {shift > 64 for shift in clamps} == {True, False}
+    products = [(o, [p.signals[a].fix for a in o.args]) for p, o in pairs if isinstance(o, Product)]
+    assert max(sum(f.width for f in both) for _, both in products) == ACCUMULATOR_BITS
+    shifts = {sum(f.frac for f in both) - o.out.fix.frac for o, both in products}
+    assert {np.sign(s) for s in shifts} == {-1, 0, 1}
+    assert max(shifts) > 64
     tables = [t for p in programs for t in p.tables]
     points, lines = ([t for t in tables if isinstance(t, kind)] for kind in (Table, Lines))
     assert {t.shift for t in points} >= {0, 48}

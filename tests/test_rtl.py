@@ -224,6 +224,7 @@ def test_every_building_block_passes_lint_by_itself_and_refuses_illegal_paramete
         "clamp": "LO=1",
         "threshold": "SIZE=0",
         "select": "BELOW_LEFT=-1",
+        "multiply": "OTHER_W=1",
         "stream": "IN_W=9",
         "mac": "WORD_W=1",
         "drain": "OUT_W=1",

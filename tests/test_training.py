@@ -33,7 +33,7 @@ def as_record(network: Network, steps: int, seed: int) -> Record:
 @settings(max_examples=100)
 @given(st.integers(0, 10**9))
 def test_gradients_through_time_equal_those_of_torch_for_any_topology(seed):
-    network = random_network(seed, activations=SMOOTH)
+    network = random_network(seed, activations=(*SMOOTH, "product"))
     record = as_record(network, 15, seed)
     objective = Objective(network, [record])
     assert np.isfinite(objective.squares(objective.theta))

@@ -7,7 +7,7 @@ from greygate.compiler.code_ranges import code_ranges
 from greygate.compiler.dataflow.sums import Sums
 from greygate.compiler.limits import clamps_behind
 from greygate.compiler.targets import Design
-from greygate.emulator.program import Affine, Clamp, Elementwise, Lookup, Operation, Program, Signal
+from greygate.emulator.program import Affine, Clamp, Elementwise, Lookup, Operation, Product, Program, Signal
 
 
 class Dataflow:
@@ -95,13 +95,15 @@ class Dataflow:
             ends |= {self.names[a]: wire for a, wire in zip(o.args, arguments, strict=True)} | {y: y}
             return verilog.instance(f"{self.program.name}_{y}", f"{y}_layer", {}, ends)
         module, parameters, ports = self.block(o, o.out.size)
+        if isinstance(o, Product):
+            ends["take"], enable = enable, enable if self.pipelined else "1'b1"
         ends |= {"en": enable} | dict(zip(ports, arguments, strict=True)) | {"y": y}
         return verilog.instance(module, f"{y}_layer", parameters, ends)
 
     def block(self, o: Elementwise, size: int) -> verilog.Block:
-        """As `small_operation`; tables multiply by DSPs as long as the design has any left."""
+        """As `small_operation`; tables and products multiply by DSPs as long as the design has any left."""
         module, parameters, ports = verilog.small_operation(self.program, o, size)
-        if isinstance(o, Lookup):
+        if isinstance(o, Lookup | Product):
             used = min(size, self.dsps)
             self.dsps -= used
             parameters = parameters | {"MULTIPLIERS": used}

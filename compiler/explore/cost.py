@@ -20,11 +20,11 @@ from greygate.compiler.targets import FACTORS, Design, Memory, architecture
 from greygate.compiler.targets.folded import DEEP
 from greygate.compiler.targets.folded import memories as folded_memories
 from greygate.emulator.numbers import signed_width
-from greygate.emulator.program import Affine, Lookup, Program
+from greygate.emulator.program import Affine, Lookup, Product, Program
 from greygate.emulator.tables import Lines, Table
 
 COEFFICIENTS = Path(__file__).with_name("cost.toml")
-LOOKUP, EDGES = 3, 2  # clocks of a lookup, and of a step beside its longest chain
+LOOKUP, PRODUCT, EDGES = 3, 2, 2  # clocks of a lookup, of a product, and of a step beside its longest chain
 SHARED = 0.5  # part of the digits of single weights that is left when equal patterns are summed once
 
 # Shapes (words, bits) that one block of memory can have with one read port, and with two; and how many a family counts
@@ -172,7 +172,7 @@ def _rom(program: Program, o: Lookup) -> str:
 
 
 def _small(program: Program) -> float:
-    """Bits that the clamps, thresholds and selects take in and give."""
+    """Bits that the clamps, thresholds, selects and products take in and give."""
     other = (o for o in program.operations if not isinstance(o, Affine | Lookup))
     return float(sum(o.out.size * (o.out.fix.width + sum(program.signals[a].fix.width for a in o.args)) for o in other))
 
@@ -180,6 +180,12 @@ def _small(program: Program) -> float:
 def _ports(program: Program) -> float:
     """Bits of the samples that come and go."""
     return float(sum(p.signal.size * p.signal.fix.width for p in program.inputs + program.outputs))
+
+
+def _factors(program: Program, o: Product) -> tuple[int, int]:
+    """Widths of what is multiplied."""
+    one, other = (program.signals[a].fix.width for a in o.args)
+    return one, other
 
 
 def served(program: Program, since: Mapping[str, int]) -> list[tuple[Lookup, int]]:
@@ -221,6 +227,11 @@ def parallel(program: Program, design: Design, family: str) -> Parts:
             full += units / (2 if both else 1) * filled(family, words, bits)
         else:
             luts[_rom(program, o)] += units * words * bits
+    for o in (o for o in program.operations if isinstance(o, Product)):
+        in_dsps = min(o.out.size, left)
+        left -= in_dsps
+        dsps += in_dsps * tiles(family, *_factors(program, o))
+        luts["products"] += (o.out.size - in_dsps) * math.prod(_factors(program, o))
     return Parts(luts, dsps, memories, full)
 
 
@@ -256,6 +267,7 @@ def folded(program: Program, design: Design, family: str) -> Parts:
             taken, full = taken + blocks(family, words, bits), full + filled(family, words, bits)
         else:
             luts[_rom(program, o)] += words * bits
+    dsps += sum(tiles(family, *_factors(program, o)) for o in folding.units.values() if isinstance(o, Product))
     return Parts(luts, dsps, taken, full)
 
 
@@ -263,7 +275,15 @@ def standing(program: Program, design: Design) -> dict[str, int]:
     """Signal -> clock at which it stands, an estimate: each sum is a tree with a register after every few adders."""
     since, with_sums = dict.fromkeys(program.signals, 0), clamps_behind(program)
     for o in program.operations:
-        clocks = LOOKUP if isinstance(o, Lookup) else 0 if o.args[0] in with_sums else 1
+        clocks = (
+            LOOKUP
+            if isinstance(o, Lookup)
+            else PRODUCT
+            if isinstance(o, Product)
+            else 0
+            if o.args[0] in with_sums
+            else 1
+        )
         if isinstance(o, Affine):
             terms = int(digits(o.weights).sum(axis=1).max()) + 1
             clocks = max(1, -(-(terms - 1).bit_length() // design.adders)) if design.adders else 1

@@ -15,8 +15,9 @@ import numpy as np
 from greygate.compiler.folding.jobs import Job, live_operations, measure, planned
 from greygate.compiler.folding.products import Mode, Products, laid_out
 from greygate.compiler.verilog import LATE_CLOCKS, shared_tables
+from greygate.compiler.verilog import clocks as clocks_of
 from greygate.emulator.numbers import signed_width
-from greygate.emulator.program import Affine, Elementwise, Lookup, Program
+from greygate.emulator.program import Affine, Elementwise, Lookup, Product, Program
 
 CLOSING = 2  # lines that are read while `done` returns the counter
 REMARKED = 4096  # lines of a ROM up to which each says what it does
@@ -26,7 +27,6 @@ SELECT = 2  # ... the stages of its product, in the line
 SUM = 4  # ... the sum that takes its product
 CODE = 6  # ... the code of a row that ends with it, and `levels` more where several multipliers take turns
 ARGUMENT = 2  # ... the argument of a unit that reads the memory
-UNIT = 1  # clocks of a unit that is no lookup
 CONTROL = 1  # a field of the control acts so many clocks after its line
 NEAR = 4  # sums among which one clock can pick
 DRAINED, COPIED, SAMPLED, UNITS = range(4)  # numbers of the sources of a write; each unit has one from UNITS up
@@ -170,13 +170,16 @@ class _Folder:
         self._name_units()
 
     def _name_units(self) -> None:
-        """A unit for each operation that is not affine; lookups in equal tables share one."""
+        """A unit for each operation that is not affine; lookups in equal tables share one, and products alike."""
         shared = shared_tables(self.program)
         self.unit: dict[str, str] = {}
         for o in self.operations:
             if isinstance(o, Affine):
                 continue
             key = f"table {shared[o.table].name}" if isinstance(o, Lookup) else o.out.name
+            if isinstance(o, Product):
+                one, other = (self.program.signals[a].fix for a in o.args)
+                key = f"product of {one} and {other} to {o.out.fix}, {o.rounding}"
             self.units.setdefault(key, o)
             self.unit[o.out.name] = key
             (self.fused if o.out.name in self.inside else self.stored).add(key)
@@ -262,7 +265,7 @@ class _Folder:
         o = job.operation
         if o is None:
             return WORD
-        return len(job.reads) - 1 + ARGUMENT + (LATE_CLOCKS if isinstance(o, Lookup) else UNIT)
+        return len(job.reads) - 1 + ARGUMENT + (LATE_CLOCKS if isinstance(o, Lookup) else clocks_of(o))
 
     def _write(self, clock: int, name: str, k: int, source: int, shows: bool = True) -> None:
         """Write element k of a signal where it is kept, and show it where it is an output."""

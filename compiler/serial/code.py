@@ -10,7 +10,8 @@ from functools import cached_property, lru_cache
 
 from greygate.compiler.adders import signed_digits
 from greygate.compiler.folding.jobs import ordered
-from greygate.compiler.serial.tables import Answer, Kept, kept_tables
+from greygate.compiler.serial.products import Multiplied
+from greygate.compiler.serial.tables import FACTOR, Answer, Kept, kept_tables
 from greygate.compiler.serial.writer import (
     ACCEPT,
     NOTHING,
@@ -31,16 +32,19 @@ from greygate.compiler.serial.writer import (
 )
 from greygate.compiler.verilog import input_slices, shared_tables
 from greygate.emulator.numbers import Fix, Overflow
-from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Signal, Threshold
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Product, Program, Select, Signal, Threshold
 
-PAIRS = (("zero", "slope"), ("above", "below"))  # words beside each other, of which one is chosen
+PAIRS = (("zero", FACTOR), ("above", "below"))  # words beside each other, of which one is chosen
 
 
 @dataclass
 class Routine:
-    """Words that several places of the main code use. given: the range of the accumulator at their begin."""
+    """Words that several places of the main code use. given: the range of the accumulator at their begin.
 
-    table: Kept | None  # None: chooses between the words `above` and `below` by the accumulator's sign
+    does: looks up, multiplies; None chooses between the words `above` and `below` by the accumulator's sign.
+    """
+
+    does: Kept | Multiplied | None
     given: Range = ZERO
     lines: list[Line] = field(default_factory=list)
 
@@ -78,10 +82,12 @@ class Compiler:
         for routine in self.routines.values():
             self.writer.lines = routine.lines
             self.writer.set(routine.given)
-            if routine.table is None:
+            if routine.does is None:
                 self.choose()
+            elif isinstance(routine.does, Multiplied):
+                routine.does.write(self.writer, self.rest)
             else:
-                Answer(self.writer, routine.table, self.rest).write()
+                Answer(self.writer, routine.does, self.rest).write()
             self.leave()
         self.writer.lines = self.main
 
@@ -219,9 +225,28 @@ class Compiler:
         found = readers.get(o.out.name, [])
         return lookups.get(found[0]) if len(found) == 1 else None
 
-    def called(self, name: str, table: Kept | None, note: str) -> None:
+    def product(self, o: Product) -> None:
+        """The narrower code is multiplied bit by bit; a routine serves all products of its width and formats."""
         w = self.writer
-        routine = self.routines.setdefault(name, Routine(table, w.range))
+        one, other = sorted((self.program.signals[a] for a in o.args), key=lambda s: -s.fix.width)
+        does = Multiplied.of(o, one.fix, other.fix)
+        for k in range(o.out.size):
+            w.load(element(one, k), f"{o.out.name}[{k}]")
+            for _ in range(does.doubled):
+                w.double(carry=False)
+            w.write(FACTOR)
+            w.load(element(other, k))
+            self.called(does.name, does, f"times {other.name}[{k}]")
+            routine = self.routines[does.name].does
+            assert isinstance(routine, Multiplied)
+            routine.meets(w.memory[FACTOR])
+            w.write("argument")
+            w.set(range_of(o.out.fix))
+            w.write(element(o.out, k))
+
+    def called(self, name: str, does: Kept | Multiplied | None, note: str) -> None:
+        w = self.writer
+        routine = self.routines.setdefault(name, Routine(does, w.range))
         routine.given = min(routine.given[0], w.range[0]), max(routine.given[1], w.range[1])
         w.word(Word.CALL, list(self.routines).index(name), note)
 
@@ -253,7 +278,9 @@ class Compiler:
     @cached_property
     def rest(self) -> int:
         """Bits of an argument that are kept for the way between two points, and the place of a sign."""
-        return 1 + max([0, *(kept.place_bits for kept in self.kept.values())])
+        does = [r.does for r in self.routines.values()]
+        shifted = [d.bits for d in does if isinstance(d, Multiplied)]
+        return 1 + max([0, *(kept.place_bits for kept in self.kept.values()), *shifted])
 
 
 WRITTEN: dict[Op, Callable[..., None]] = {
@@ -261,6 +288,7 @@ WRITTEN: dict[Op, Callable[..., None]] = {
     Op.CLAMP: Compiler.clamp,
     Op.THRESHOLD: Compiler.threshold,
     Op.SELECT: Compiler.select,
+    Op.PRODUCT: Compiler.product,
 }
 
 

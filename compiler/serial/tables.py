@@ -10,6 +10,8 @@ from functools import cached_property
 from greygate.compiler.serial.writer import NOTHING, PLAIN, TAKE, ZERO, Add, Constant, Key, Range, Writer
 from greygate.emulator.tables import Lines, Segments, Symmetry, Table
 
+FACTOR = "slope"  # the word beside `zero`, of which a bit of another code chooses one
+
 
 @dataclass(frozen=True)
 class Kept:

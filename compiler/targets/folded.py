@@ -20,7 +20,7 @@ from greygate.compiler import verilog
 from greygate.compiler.folding.products import Mode
 from greygate.compiler.folding.schedule import COPIED, FIELDS, NEAR, REMARKED, SAMPLED, UNITS, Folding, fold
 from greygate.compiler.targets import MULTIPLIERS, Architecture, Design, Register
-from greygate.emulator.program import Elementwise, Program, Select
+from greygate.emulator.program import Elementwise, Product, Program
 from greygate.errors import InputError
 
 
@@ -295,7 +295,7 @@ class _Core:
         before = ["argument", "argument_last", "argument_before_last"]  # the codes read 0, 1 and 2 clocks earlier
         for n, (key, o) in enumerate(self.folding.units.items()):
             module, parameters, ports = verilog.small_operation(self.program, o, size=1)
-            ends = {"clk": "clk", "en": "1'b1"}
+            ends = {"clk": "clk", "en": "1'b1"} | ({"take": "1'b1"} if isinstance(o, Product) else {})
             for port, argument, place in zip(ports, o.args, reversed(before[: len(ports)]), strict=True):
                 ends[port] = self.argument(key, place, self.program.signals[argument].fix.width)
             text = verilog.instance(module, f"unit_{n}_{o.op.value}", parameters, ends | {"y": f"unit_{n}"})
@@ -315,10 +315,11 @@ class _Core:
         return [o for key, o in self.folding.units.items() if key in self.folding.stored]
 
     def selected(self) -> tuple[int, int]:
-        """Widths of the codes read two clocks earlier and one: of conditions, and of these and what stands above."""
-        signals, selects = self.program.signals, [o for o in self.stored if isinstance(o, Select)]
-        condition = max((signals[o.condition].fix.width for o in selects), default=0)
-        return condition, max([condition, *(signals[o.above].fix.width for o in selects)])
+        """Widths of the codes read two clocks earlier and one, 0 for none: of the last arguments but two, and one."""
+        last = [
+            [self.program.signals[o.args[-n]].fix.width for o in self.stored if len(o.args) >= n] or [0] for n in (2, 3)
+        ]
+        return max(last[1]), max(*last[0], *last[1])
 
     def results(self) -> tuple[int, list[str]]:
         """Places of what is shown, which moves down from the highest, and the lanes of the outputs."""

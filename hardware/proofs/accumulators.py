@@ -8,7 +8,7 @@ from greygate.compiler.folding.schedule import fold
 from greygate.compiler.targets import Design
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.numbers import Fix, Overflow, Rounding
-from greygate.emulator.program import Affine, Clamp, Lookup, Program, Select, Threshold
+from greygate.emulator.program import Affine, Clamp, Lookup, Product, Program, Select, Threshold
 from greygate.hardware.proofs.affine import signed_bits
 from greygate.hardware.proofs.elaborated import Block, Proof, timed
 
@@ -36,6 +36,8 @@ def reachable(program: Program) -> dict[str, list[Interval]]:
             found[o.out.name] = [(min(b), max(b)) for b in both]
         elif isinstance(o, Select):
             found[o.out.name] = _selected(program, o, args)
+        elif isinstance(o, Product):
+            found[o.out.name] = _multiplied(program, o, args)
     return found
 
 
@@ -81,6 +83,12 @@ def _selected(program: Program, o: Select, args: Sequence[Sequence[Interval]]) -
         ends = [_fitted(i, s, o.rounding, o.out.fix) for (_, i), s in zip(taken, shifts, strict=True)]
         found.append((min(lo for lo, _ in ends), max(hi for _, hi in ends)))
     return found
+
+
+def _multiplied(program: Program, o: Product, args: Sequence[Sequence[Interval]]) -> list[Interval]:
+    shift = sum(program.signals[a].fix.frac for a in o.args) - o.out.fix.frac
+    corners = [[a * b for a in one for b in other] for one, other in zip(*args, strict=True)]
+    return [_fitted((min(c), max(c)), shift, o.rounding, o.out.fix) for c in corners]
 
 
 HOW = "interval arithmetic over all orders of the terms, with the widths of the emitted accumulator"

@@ -14,7 +14,7 @@ import numpy as np
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.numbers import Overflow, Rounding
-from greygate.emulator.program import Affine, Clamp, Lookup, Program
+from greygate.emulator.program import Affine, Clamp, Lookup, Product, Program
 from greygate.hardware.proofs.elaborated import Proof, timed
 from greygate.models.accuracy import float_error
 from greygate.models.activations import ACTIVATIONS
@@ -125,6 +125,8 @@ class Chain:
                     raise Unfit(f"{o.out.name} is not a layer of the network: a narrowed state or another operation")
                 columns = _columns(program, o, name, layers[name], feeds)
                 weights[o.out.name], biases[o.out.name] = columns, layers[name].bias
+            elif isinstance(o, Product):
+                raise Unfit(f"{o.out.name} multiplies two signals, whose errors are not bounded here")
             elif not isinstance(o, Clamp):
                 raise Unfit(f"{o.out.name} jumps, so that a small error may become a large one")
         return cls(program, weights, biases, activation)
@@ -417,7 +419,8 @@ def _radius(program: Program) -> float:
         elif isinstance(o, Clamp):
             slope[o.out.name] = args[0]
         elif any(a.any() for a in args):
-            raise Unfit(f"{o.out.name} jumps with a state")
+            does = "multiplies by" if isinstance(o, Product) else "jumps with"
+            raise Unfit(f"{o.out.name} {does} a state")
     step = np.vstack([slope[s.source] for s in program.states])
     return float(np.max(np.abs(np.linalg.eigvals(step))))
 

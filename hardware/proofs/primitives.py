@@ -77,6 +77,7 @@ REFERENCES = {  # block -> its inputs but for clock and enable, and the clocks a
     "greygate_clamp": (("x",), 1),
     "greygate_threshold": (("x",), 1),
     "greygate_select": (("condition", "above", "below"), 1),
+    "greygate_multiply": (("take", "one", "other"), 3),
     "greygate_drain": (("a", "mode"), 1),
     "greygate_mac": (("x", "word", "select", "first", "bias"), 4),
 }

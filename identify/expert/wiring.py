@@ -549,16 +549,14 @@ class Wiring:
         return self.made(name, name, made.size, of(at), plain(name))
 
     def product(self, name: str, a: Form, b: Form) -> Form:
-        """Exact, by two squares: ab = ((a + b) / 2)^2 - ((a - b) / 2)^2."""
+        """Two forms, each of them scaled to 1, multiplied."""
         values = self._values()
         sizes = [float(np.abs(f.over(values)).max()) or 1.0 for f in (a, b)]
-        halves = Layer({"a": [[0.5], [0.5]], "b": [[0.5], [-0.5]]}, [0.0, 0.0], "square", frozen={"a", "b", "bias"})
-        self.network.add(f"{name}_squares", halves)
-        self.network.add(name, Layer({"squares": [[1.0, -1.0]]}, [0.0], frozen={"squares", "bias"}))
+        both = {"a": [[1.0], [0.0]], "b": [[0.0], [1.0]]}
+        self.network.add(name, Layer(both, [0.0, 0.0], "product", frozen={*both, "bias"}))
         for port, form, size in zip("ab", (a, b), sizes, strict=True):
-            self.network.connect(self.layer(f"{name}_{port}", form, size), f"{name}_squares.{port}")
-        self.network.connect(f"{name}_squares", f"{name}.squares")
-        self.log("part", plain(name), "a product by two squares", "the term multiplies two signals")
+            self.network.connect(self.layer(f"{name}_{port}", form, size), f"{name}.{port}")
+        self.log("part", plain(name), "a product", "the term multiplies two signals")
         return self.made(name, name, sizes[0] * sizes[1], a.over(values) * b.over(values), plain(name))
 
     def quotient(self, name: str, a: Form, b: Form) -> Form:

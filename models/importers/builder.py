@@ -277,18 +277,16 @@ class Builder:
         return value
 
     def product(self, a: Value, b: Value, hint: str = "product") -> Value:
-        """Two signals multiplied: a quarter of the difference of two squares."""
+        """Two signals multiplied, element by element, with NumPy's broadcasting."""
         if (factor := b.constant) is not None:
             return a.times(factor)
         if (factor := a.constant) is not None:
             return b.times(factor)
-        total, rest = a.plus(b), a.plus(b.times(-1.0))
-        both = joined([total.moved(np.ravel), rest.moved(np.ravel)], 0)
-        squares = self.activated(both, "square", hint)
-        n = total.size
-        parts = (squares.rows(np.arange(n) + k * n) for k in (0, 1))
-        one, two = parts
-        return one.times(0.25).plus(two.times(-0.25)).moved(lambda x: x.reshape(total.shape))
+        shape, name = np.broadcast_shapes(a.shape, b.shape), self._free(hint)
+        two = joined([v.moved(lambda i: np.broadcast_to(i, shape).ravel()) for v in (a, b)], 0)
+        self._layer(name, two.bias, two.weights, "product")
+        size = int(np.prod(shape))
+        return Value(shape, np.zeros(size), {(name, 0): np.eye(size)})
 
     def bilinear(self, a: Value, of: Callable[[np.ndarray], Value], hint: str) -> Value:
         """What is linear in a signal and in another: of(e) is the result where the first is a unit vector e."""
@@ -354,7 +352,8 @@ class Builder:
             reset = self.product(r, h, f"{hint}_reset")
             inner = reset.linear(w[1][2 * n :]).plus(constant(w[3][2 * n :]))
         new = inner_act(_part(of_x, 2, n).plus(inner), f"{hint}_n")
-        return new.plus(self.product(z, h.plus(new.times(-1.0)), f"{hint}_update"))
+        kept = self.product(z, h.plus(new.times(-1.0)), f"{hint}_update")
+        return self.activated(new.plus(kept), "linear", f"{hint}_h")
 
     def lstm(
         self,
@@ -380,7 +379,8 @@ class Builder:
         i = gate(of_i.plus(seen[0]), f"{hint}_i")
         f = i.times(-1.0).plus(constant(1.0)) if coupled else gate(of_f.plus(seen[1]), f"{hint}_f")
         kept = self.product(f, c, f"{hint}_kept")
-        cell = kept.plus(self.product(i, entering(of_g, f"{hint}_g"), f"{hint}_added"))
+        added = self.product(i, entering(of_g, f"{hint}_g"), f"{hint}_added")
+        cell = self.activated(kept.plus(added), "linear", f"{hint}_c")
         o = gate(of_o if peep is None else of_o.plus(cell.times(peep[1])), f"{hint}_o")
         return self.product(o, leaving(cell, f"{hint}_tanh"), f"{hint}_shown"), cell
 

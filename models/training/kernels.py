@@ -20,7 +20,7 @@ from greygate.models.activations import ACTIVATIONS
 from greygate.models.network import Layer, Network
 
 KINDS = tuple(ACTIVATIONS)  # a layer's activation stands in `Tables.layers` as its place here
-SELECT = KINDS.index("select")
+SELECT, PRODUCT = KINDS.index("select"), KINDS.index("product")
 LANES = 32  # steps that are taken back at once: what a step costs beside its arithmetic is shared by so many
 _SLOPE_READS_N = np.array([a.slope_reads_n for a in ACTIVATIONS.values()])  # by kind
 _SOURCES = (activations, scalars, sys.modules[__name__])
@@ -91,7 +91,7 @@ def _slopes_of(own: int, function: Callable, otherwise: Callable) -> Callable:
 _values: Callable = _no_value  # of (kind, signals of a layer): in place, pre-activations become outputs
 _slopes: Callable = _no_slope  # of (kind, signals, sums, slopes of a layer)
 for _kind, _entry in reversed(list(enumerate(ACTIVATIONS.values()))):  # the first is tried first
-    _values = _values if _kind == SELECT else _values_of(_kind, _entry.value, _values)
+    _values = _values if _kind in (SELECT, PRODUCT) else _values_of(_kind, _entry.value, _values)
     _slopes = _slopes_of(_kind, _entry.slope, _slopes)
 
 
@@ -211,10 +211,11 @@ def preactivation(links, lo, hi, theta, bias, row, k, now, past):  # pragma: no 
 
 
 @kernel(inline="always")
-def slopes_at(layers, links, theta, at, count, now, past, slopes, active):  # pragma: no cover - compiled
-    """For rows at to at + count - 1 of now: slopes[e, b], active[e, b] (elements, LANES).
+def slopes_at(layers, links, theta, at, count, now, past, slopes, twins, active):  # pragma: no cover - compiled
+    """For rows at to at + count - 1 of now: slopes[e, b], twins[e, b], active[e, b] (elements, LANES).
 
-    slopes: derivative of each neuron's output by its pre-activation; active: the row of weights that acts on it.
+    slopes: derivative of each neuron's output by its pre-activation; active: the row of weights that acts on it. Of a
+    product this is the first; twins: the derivative by the second.
     """
     y, n = np.empty(count), np.zeros(count)
     for layer in range(len(layers) - 1):
@@ -231,6 +232,10 @@ def slopes_at(layers, links, theta, at, count, now, past, slopes, active):  # pr
                 for b in range(count):
                     active[first + o, b] = o + (size if n[b] >= 0 else 2 * size)
             _slopes(kind, y, n, slopes[first + o, :count])
+            if kind == PRODUCT:
+                for b in range(count):
+                    twins[first + o, b] = preactivation(links, lo, hi, theta, bias, o, at + b, now, past)
+                    slopes[first + o, b] = preactivation(links, lo, hi, theta, bias, size + o, at + b, now, past)
 
 
 @kernel()
@@ -269,6 +274,9 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
                 for o in range(size):
                     acts = o + (size if now[k, first + o] >= 0 else 2 * size)
                     now[k, first + o] = preactivation(links, lo, hi, theta, bias, acts, k, now, past)
+            elif kind == PRODUCT:
+                for o in range(size):
+                    now[k, first + o] *= preactivation(links, lo, hi, theta, bias, size + o, k, now, past)
             else:
                 _values(kind, now[k, first : first + size])
             for o in range(size):
@@ -373,9 +381,10 @@ def sensitivities(
     n_theta, n_rows = len(theta), len(rows)
     ring, lanes = depth + 1, min(LANES, stop - start)
     slopes = np.empty((now.shape[1], lanes))  # of all elements, and likewise:
+    twins = np.empty((now.shape[1], lanes))  # by the second sum of a product
     active = np.zeros((now.shape[1], lanes), np.int64)  # the row of weights that acts
     adjoint = np.empty((now.shape[1], lanes))
-    delta = np.empty((now.shape[1], lanes))  # of a layer's neurons
+    delta = np.empty((2 * now.shape[1], lanes))  # of a layer's neurons, and of the second sums of products
     total = np.empty(lanes)
     direct = np.zeros((lanes, n_rows, carried.shape[2]))  # d row / d theta within the step
     coupling = np.zeros((n_rows, depth, n_rows, lanes))  # c[d, r, q] of each row
@@ -384,7 +393,7 @@ def sensitivities(
     pairs, coupled = _coupled(layers, links, depth, row_of, reaches)
     for k0 in range(start, stop, lanes):
         count = min(lanes, stop - k0)
-        slopes_at(layers, links, theta, depth + k0, count, now, past, slopes, active)
+        slopes_at(layers, links, theta, depth + k0, count, now, past, slopes, twins, active)
         for r in range(n_rows):
             direct[:count, r, spans[r, 0] : spans[r, 1]] = 0.0
             adjoint[: layers[layer_of[r] + 1, 0]] = 0.0
@@ -399,6 +408,15 @@ def sensitivities(
                         d = adjoint[first + o, b] * slopes[first + o, b]
                         delta[o, b] = d
                         acts |= d != 0.0
+                acting = size
+                if kind == PRODUCT:
+                    acting = 2 * size
+                    for o in range(size):
+                        for b in range(count):
+                            d = adjoint[first + o, b] * twins[first + o, b]
+                            delta[size + o, b] = d
+                            direct[b, r, bias + size + o] = d
+                            acts |= d != 0.0
                 if not acts:
                     continue
                 for o in range(size):
@@ -410,7 +428,7 @@ def sensitivities(
                     for i in range(width):
                         e = source + i
                         total[:] = 0.0
-                        for o in range(size):
+                        for o in range(acting):
                             if kind == SELECT:
                                 for b in range(count):
                                     p = w + active[first + o, b] * width + i
