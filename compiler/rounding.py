@@ -207,7 +207,7 @@ def without_dead(flat: Network) -> Network:
         shown = graph.shown()
         for name, layer in list(graph.layers.items()):
             readers = list(graph.readers(name))
-            if name in shown or layer.function.lowered == "select" or not readers:
+            if name in shown or layer.function.rows > 1 or not readers:
                 continue
             if any(delay or graph.layers[r].size == 0 for r, _, delay in readers):
                 continue
