@@ -389,6 +389,8 @@ class _Layout:
         entry = bits(len(compiler.routines) - 1) if len(compiler.routines) > 1 else 0
         block, boot = 1 << count, 1 << (count + entry)
         start = 1 << bits(boot + len(compiler.boot) - 1)
+        if any(isinstance(r.does, Multiplied) for r in compiler.routines.values()):
+            start = boot + len(compiler.boot)  # a program with products is long: no word lies idle
         words = [(int(Word.CLEAR), 0, "")] * (start + len(compiler.main))
         places = [(n * block, r.lines) for n, r in enumerate(compiler.routines.values())]
         for place, lines in [*places, (boot, compiler.boot), (start, compiler.main)]:
