@@ -1,4 +1,4 @@
-"""The tutorials as notebooks: `python docs/notebooks.py FOLDER` writes them; `make docs` puts them on the site.
+"""The tutorials as notebooks: `python docs/notebooks.py notebooks` writes them; `make docs` puts them on the site.
 
 The page is the source. Its Python and shell blocks become cells, a file that the reader is to write becomes a cell that
 writes it, and a page that a command writes is shown below its cell. A link within the site becomes plain text.
@@ -63,4 +63,4 @@ def text(name: str) -> str:
 
 if __name__ == "__main__":
     for name in TUTORIALS:
-        (Path(sys.argv[1]) / f"{name}.ipynb").write_text(text(name), encoding="utf-8")
+        (Path(sys.argv[1]) / f"{name}.ipynb").write_text(text(name), encoding="utf-8", newline="\n")

@@ -12,6 +12,7 @@ fast. Their docstrings hold examples that continue one another in the order of `
     from greygate import *
 """
 
+import sys
 from importlib import import_module
 
 from greygate.caches import keep_compiled
@@ -52,8 +53,28 @@ _PUBLIC = {  # name -> module: name there, in the order of the examples
     "load_rig": "greygate.mismatch.rig:load",
     "diagnose": "greygate.mismatch.diagnose:diagnose",
 }
+_SHOWN = {  # in a notebook: what shows itself -> what draws it
+    "greygate.models.network:Network": "network",
+    "greygate.mismatch.diagnosis:Diagnosis": "diagnosis",
+    "greygate.hardware.build:Project": "project",
+}
 __all__ = [*_PUBLIC]
 keep_compiled()
+
+
+def _show_in_notebooks() -> None:
+    """Where a notebook imports greygate, say what draws its results; nothing is imported for it here."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    formatter = shell and shell.display_formatter.formatters["text/html"]
+    for name, drawn in _SHOWN.items() if formatter else ():
+
+        def html(value: object, drawn: str = drawn) -> str:
+            return getattr(import_module("greygate.pages.notebook"), drawn)(value)
+
+        formatter.for_type_by_name(*name.split(":"), html)
+
+
+_show_in_notebooks()
 
 
 def __getattr__(name: str) -> object:

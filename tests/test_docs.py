@@ -124,6 +124,11 @@ def test_a_notebook_says_what_its_page_says():
         assert "](" not in re.sub(r"\]\(http", "", told)
 
 
+def test_the_notebooks_in_the_repository_are_made_of_the_pages():
+    made = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "notebooks").glob("*.ipynb")}
+    assert made == {name: notebooks.text(name) for name in notebooks.TUTORIALS}, "python docs/notebooks.py notebooks"
+
+
 def test_figures_of_the_pages_are_those_of_the_stored_results():
     done = subprocess.run([sys.executable, ROOT / "docs" / "pages.py", "--check"], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -1,0 +1,60 @@
+"""Results show themselves in a notebook, in a frame that keeps its style and runs no script."""
+
+import html
+
+import pytest
+from networks import delay_line
+from test_cli import recording
+
+from greygate import Network, Project, children, diagnose, load_rig
+from greygate.machines.samples import write
+from greygate.pages import notebook
+
+
+def page(shown: str) -> str:
+    assert shown.startswith('<iframe srcdoc="')
+    assert shown.endswith(" sandbox></iframe>")
+    return html.unescape(shown.partition('srcdoc="')[2].partition('"')[0])
+
+
+def test_a_network_shows_its_answer_to_a_step_and_its_layers():
+    network = delay_line()
+    found = page(notebook.network(network))
+    assert found.count("<svg class") == len(network.inputs)
+    assert found.count("<tr>") == 1 + len(network.layers())
+
+
+def test_a_build_shows_what_its_hardware_answers_and_its_formats(greygate, tmp_path):
+    delay_line().save(tmp_path / "line")
+    recording(tmp_path / "run.csv", steps=200)
+    assert greygate("compile", tmp_path / "line.toml", tmp_path / "run.csv", "--out", tmp_path / "line")[0] == 0
+    project = Project.open(tmp_path / "line")
+    found = page(notebook.project(project))
+    assert found.count('class="line fixed"') == len(project.program.outputs)
+    assert all(str(p.signal.fix) in found for p in project.program.inputs)
+
+
+def test_a_diagnosis_shows_its_verdict_and_its_errors(tmp_path):
+    write("plant", tmp_path)
+    found = page(notebook.diagnosis(diagnose(load_rig(tmp_path / "axis"))))
+    assert "missing physics" in found
+    assert "spring" in found
+    assert "140.3 mm" in found
+    assert "<script" not in found
+
+
+def test_a_name_is_no_html():
+    assert "<b>" not in page(notebook.network(Network("a<b>x</b>")))
+
+
+CELLS = """
+from IPython.core.interactiveshell import InteractiveShell
+shell = InteractiveShell.instance()
+assert shell.run_cell("import greygate; found = greygate.Network('x')").success
+print(shell.display_formatter.format(shell.user_ns["found"])[0]["text/html"])
+"""
+
+
+def test_a_notebook_that_imports_greygate_draws_its_results():
+    pytest.importorskip("IPython")
+    assert "Network x" in page(children.ran(children.python("-c", CELLS)).stdout.strip())
