@@ -14,7 +14,7 @@ from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design, architecture
 from greygate.emulator.engine import run
-from greygate.emulator.program import Program
+from greygate.emulator.program import Affine, Program
 from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, verify_many
 from greygate.models.importers.pytorch import from_torch
@@ -72,7 +72,10 @@ def measured(name: str) -> dict:
     for design in DESIGNS:
         designs[design] = designed(program, record, design, count=design != "parallel")
         say(f"{name}, {design}: {designs[design]}")
-    return {"tables": ops["table"], "products": ops["product"], "off": off, "designs": designs}
+    edges = [p.signal.fix.width for p in (*program.inputs, *program.outputs)]
+    weights = sum(int(np.count_nonzero(o.weights)) for o in program.operations if isinstance(o, Affine))
+    found = {"tables": ops["table"], "products": ops["product"], "weights": weights, "edges": edges, "off": off}
+    return found | {"designs": designs}
 
 
 def main() -> int:

@@ -14,7 +14,7 @@ from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design
 from greygate.emulator.engine import run
 from greygate.emulator.numbers import Fix, signed_width
-from greygate.emulator.program import Affine, Lookup, Program, Terminal
+from greygate.emulator.program import Affine, Lookup, Product, Program, Terminal
 from greygate.emulator.tables import Lines, Table
 from greygate.errors import InputError
 from greygate.models.accuracy import float_error, rms
@@ -475,9 +475,10 @@ def _table(t: Table | Lines, program: Program) -> Lookups:
 def size(program: Program) -> Size:
     """The size of the program: products of one step, and bits of weights, of states and of tables."""
     affine = [o for o in program.operations if isinstance(o, Affine)]
+    products = sum(o.out.size for o in program.operations if isinstance(o, Product))
     return {
         "operations": len(program.operations),
-        "multiplications": sum(int(np.count_nonzero(o.weights)) for o in affine),
+        "multiplications": sum(int(np.count_nonzero(o.weights)) for o in affine) + products,
         "state_bits": sum(s.signal.size * s.signal.fix.width for s in program.states),
         "table_bits": sum(t.bits for t in program.tables),
         "accumulator_bits": max((program.accumulator_width(o) for o in affine), default=0),

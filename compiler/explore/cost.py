@@ -251,7 +251,8 @@ def folded(program: Program, design: Design, family: str) -> Parts:
     luts |= dict.fromkeys(("lookups", "octaves", "rom", "segments", "ram"), 0.0)
     dsps, taken = m * tiles(family, products.x_width, products.word_width), 0.0
     full = 0.0
-    for (words, bits), kind in ((schedule, "rom"), (biases, "rom"), (ram, "ram")):
+    pairs = any(isinstance(o, Product) for o in folding.units.values())  # read at two places: two memories of codes
+    for (words, bits), kind in ((schedule, "rom"), (biases, "rom"), *[(ram, "ram")] * (1 + pairs)):
         need = blocks(family, words, bits)
         worth = family in BLOCKS_ALONE or words * bits * BLOCKS[family][2] >= WORTH[family] * need
         if words >= DEEP if kind == "rom" else worth:

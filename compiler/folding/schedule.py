@@ -45,11 +45,13 @@ def levels_of(multipliers: int) -> int:
 class Lines:
     """Lines of the ROM while they are laid out.
 
-    controls: field -> {line: value}. bursts: (line, elements read, words and selects of each multiplier).
+    controls: field -> {line: value}. others: what a line reads beside, for a product. bursts: (line, elements read,
+    words and selects of each multiplier).
     """
 
     controls: dict[str, dict[int, int]] = field(default_factory=lambda: {n: {} for n in FIELDS})
     reads: dict[int, int] = field(default_factory=dict)
+    others: dict[int, int] = field(default_factory=dict)
     bursts: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
     notes: dict[int, list[str]] = field(default_factory=lambda: defaultdict(list))
 
@@ -66,12 +68,13 @@ class Lines:
         ends = [max(found) for found in (*self.controls.values(), self.reads) if found]
         return 1 + max(ends, default=0)
 
-    def arrays(self, multipliers: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """reads (lines,), words and selects (lines, multipliers), controls (lines, fields), with CLOSING idle lines."""
+    def arrays(self, multipliers: int) -> tuple[np.ndarray, ...]:
+        """reads, others (lines,), words, selects (lines, multipliers), controls (lines, fields); CLOSING lines idle."""
         count = self.length + CLOSING
-        reads, controls = np.zeros(count, np.int64), np.zeros((count, len(FIELDS)), np.int64)
+        (reads, others), controls = np.zeros((2, count), np.int64), np.zeros((count, len(FIELDS)), np.int64)
         words, selects = np.zeros((2, count, multipliers), np.int64)
         reads[list(self.reads)] = list(self.reads.values())
+        others[list(self.others)] = list(self.others.values())
         for i, name in enumerate(FIELDS):
             controls[list(self.controls[name]), i] = list(self.controls[name].values())
         for start, elements, w, s in self.bursts:
@@ -80,14 +83,15 @@ class Lines:
             for m in range(len(w)):
                 words[start + WORD + m : start + WORD + m + n, m] = w[m]
                 selects[start + SELECT + m : start + SELECT + m + n, m] = s[m]
-        return reads, words, selects, controls
+        return reads, others, words, selects, controls
 
 
 @dataclass(frozen=True)
 class Folding:
     """A program laid out for the folded datapath.
 
-    reads: (lines,) words of the memory, or where an initial state is written. words, selects: (lines, multipliers).
+    reads: (lines,) words of the memory, or where an initial state is written. others: what a product reads beside.
+    words, selects: (lines, multipliers).
     controls: (lines, fields), as in FIELDS. idle: the line at which the core waits for a sample; those before it write
     the initial states. biases: in the order in which rows begin; `boots` of them are initial states. address: signal ->
     words of its elements. size: words of the memory. kept: the signals
@@ -101,6 +105,7 @@ class Folding:
     modes: tuple[Mode, ...]
     acc_width: int
     reads: np.ndarray
+    others: np.ndarray
     words: np.ndarray
     selects: np.ndarray
     controls: np.ndarray
@@ -131,6 +136,11 @@ class Folding:
 def fold(program: Program, multipliers: int, factor: int) -> Folding:
     """Place every read, product, sum, drain and write of one step. factor: as in `Design`."""
     return _Folder(program, multipliers, factor).folding()
+
+
+def _lines(job: Job) -> int:
+    """Lines that read the arguments of an element: a product reads both at once."""
+    return 1 if isinstance(job.operation, Product) else len(job.reads)
 
 
 class _Folder:
@@ -213,7 +223,7 @@ class _Folder:
         if isinstance(job.operation, Affine):
             layer = self.products.layers[job.operation.out.name]
             return -(-int(np.count_nonzero(layer.words)) // self.multipliers)
-        return job.size * len(job.reads)
+        return job.size * _lines(job)
 
     def _chosen(self, left: dict[str, Job]) -> tuple[Job, int]:
         """The job that goes on, and from which line."""
@@ -250,7 +260,8 @@ class _Folder:
             start = self.now
         ready = self.ready[elements]  # of a group in rising order
         if ready.max() > start:
-            start = max(start, int((ready - np.arange(len(ready))).max()))
+            together = isinstance(job.operation, Product)
+            start = max(start, int((ready - (0 if together else np.arange(len(ready)))).max()))
         while any(start + clock in self.taken for clock in clocks):
             start += 1
         return start
@@ -265,7 +276,7 @@ class _Folder:
         o = job.operation
         if o is None:
             return WORD
-        return len(job.reads) - 1 + ARGUMENT + (LATE_CLOCKS if isinstance(o, Lookup) else clocks_of(o))
+        return _lines(job) - 1 + ARGUMENT + (LATE_CLOCKS if isinstance(o, Lookup) else clocks_of(o))
 
     def _write(self, clock: int, name: str, k: int, source: int, shows: bool = True) -> None:
         """Write element k of a signal where it is kept, and show it where it is an output."""
@@ -314,8 +325,11 @@ class _Folder:
 
     def _element(self, job: Job, o: Elementwise, start: int) -> None:
         """Read the arguments of one element in consecutive clocks, and write what the unit answers."""
-        for i, a in enumerate(o.args):
+        for i, a in enumerate(o.args[: _lines(job)]):
             self._read(start + i, a, job.next)
+        if isinstance(o, Product):
+            self.lines.others[start] = self.first[o.other] + job.next
+            self.lines.notes[start].append(f"and {o.other}[{job.next}]")
         if isinstance(o, Lookup) and self.unit[o.out.name] in self.fused:
             self.lines.control(start + ARGUMENT, stored=1)
         self._write(start + self._latency(job), o.out.name, job.next, self._source(o.out.name))
@@ -418,7 +432,7 @@ class _Folder:
         for line, element in self.boots:
             boot.reads[line] = element
         parts = [lines.arrays(self.multipliers) for lines in (boot, self.lines)]
-        reads, weights, selects, controls = (np.concatenate(pair) for pair in zip(*parts, strict=True))
+        reads, others, weights, selects, controls = (np.concatenate(pair) for pair in zip(*parts, strict=True))
         idle = boot.length + CLOSING
         read = np.zeros(len(reads), bool)
         for at, lines in ((0, boot), (idle, self.lines)):
@@ -426,6 +440,8 @@ class _Folder:
             for start, elements, *_ in lines.bursts:
                 read[at + start : at + start + len(elements)] = True
         reads = np.where(read, words[reads], 0)
+        second = [idle + line for line in self.lines.others]
+        others[second] = words[others[second]]
         notes = dict(boot.notes) | {idle + line: found for line, found in self.lines.notes.items()}
         order = {element: n for n, element in enumerate(self.shows[clock] for clock in sorted(self.shows))}
         shown = {name: [order[self.first[name] + k] for k in range(self.sizes[name])] for name in self.outputs}
@@ -435,6 +451,7 @@ class _Folder:
             modes=tuple(self.modes),
             acc_width=self.acc_width,
             reads=reads,
+            others=others,
             words=weights,
             selects=selects,
             controls=controls,

@@ -20,7 +20,7 @@ from greygate.compiler import verilog
 from greygate.compiler.folding.products import Mode
 from greygate.compiler.folding.schedule import COPIED, FIELDS, NEAR, REMARKED, SAMPLED, UNITS, Folding, fold
 from greygate.compiler.targets import MULTIPLIERS, Architecture, Design, Register
-from greygate.emulator.program import Elementwise, Product, Program
+from greygate.emulator.program import Elementwise, Product, Program, Select
 from greygate.errors import InputError
 
 
@@ -119,6 +119,8 @@ class _Core:
         """(name, width, signed) of the fields of a line, from left to right."""
         w, several = self.widths, range(self.folding.multipliers)
         found = [("code", bits(len(self.codes[0]) - 1), False), ("read", w["address"], False)]
+        if self.pairs:
+            found += [("read_other", w["address"], False)]
         if self.folding.products.stages:
             found += [(f"select_{m}", w["select"], False) for m in several]
         return found + [(f"word_{m}", w["word"], True) for m in several]
@@ -126,7 +128,7 @@ class _Core:
     def columns(self) -> dict[str, np.ndarray]:
         """Field of a line -> its values."""
         f = self.folding
-        found = {"code": self.codes[1], "read": f.reads}
+        found = {"code": self.codes[1], "read": f.reads, "read_other": f.others}
         for m in range(f.multipliers):
             found |= {f"select_{m}": f.selects[:, m], f"word_{m}": f.words[:, m]}
         return found
@@ -295,8 +297,10 @@ class _Core:
         before = ["argument", "argument_last", "argument_before_last"]  # the codes read 0, 1 and 2 clocks earlier
         for n, (key, o) in enumerate(self.folding.units.items()):
             module, parameters, ports = verilog.small_operation(self.program, o, size=1)
-            ends = {"clk": "clk", "en": "1'b1"} | ({"take": "1'b1"} if isinstance(o, Product) else {})
-            for port, argument, place in zip(ports, o.args, reversed(before[: len(ports)]), strict=True):
+            ends, places = {"clk": "clk", "en": "1'b1"}, before[len(ports) - 1 :: -1]
+            if isinstance(o, Product):
+                ends, places = ends | {"take": "1'b1"}, ["argument", "argument_other"]
+            for port, argument, place in zip(ports, o.args, places, strict=True):
                 ends[port] = self.argument(key, place, self.program.signals[argument].fix.width)
             text = verilog.instance(module, f"unit_{n}_{o.op.value}", parameters, ends | {"y": f"unit_{n}"})
             found.append({"width": o.out.fix.width, "remark": verilog.remark(key), "instance": text})
@@ -310,16 +314,20 @@ class _Core:
         return drained if key in self.folding.fused else stored
 
     @property
+    def pairs(self) -> bool:
+        """Whether the memory is read at two places at once, for a product."""
+        return any(isinstance(o, Product) for o in self.folding.units.values())
+
+    @property
     def stored(self) -> list[Elementwise]:
         """Units that read codes from the memory."""
         return [o for key, o in self.folding.units.items() if key in self.folding.stored]
 
     def selected(self) -> tuple[int, int]:
-        """Widths of the codes read two clocks earlier and one, 0 for none: of the last arguments but two, and one."""
-        last = [
-            [self.program.signals[o.args[-n]].fix.width for o in self.stored if len(o.args) >= n] or [0] for n in (2, 3)
-        ]
-        return max(last[1]), max(*last[0], *last[1])
+        """Widths of the codes read two clocks earlier and one: of conditions, and of these and what stands above."""
+        signals, selects = self.program.signals, [o for o in self.stored if isinstance(o, Select)]
+        condition = max((signals[o.condition].fix.width for o in selects), default=0)
+        return condition, max([condition, *(signals[o.above].fix.width for o in selects)])
 
     def results(self) -> tuple[int, list[str]]:
         """Places of what is shown, which moves down from the highest, and the lanes of the outputs."""
