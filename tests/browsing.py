@@ -53,6 +53,7 @@ def opened(browser, page: Path | str, size: tuple[int, int], theme: str) -> Iter
     tab.on("pageerror", lambda error: told.append(f"error: {error}"))
     tab.on("request", lambda asked: asked.url.startswith(own) or told.append(asked.url))
     tab.goto(address)
+    tab.wait_for_function("!document.getElementById('plotly') || document.body.dataset.drawn")
     tab.wait_for_timeout(SETTLED)
     yield tab, told
     context.close()

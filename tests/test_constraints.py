@@ -34,7 +34,8 @@ def test_a_pin_is_one_public_version_which_the_index_has(name):
 
 def test_every_dependency_is_pinned_and_so_is_every_dependency_of_it_that_is_installed():
     """Each from the project's own list, extras too; a distribution that is not here is not needed here."""
-    own = [*PROJECT["dependencies"], *(r for extra in PROJECT["optional-dependencies"].values() for r in extra)]
+    extras = [r for extra in PROJECT["optional-dependencies"].values() for r in extra]
+    own = [*PROJECT["dependencies"], *(r for r in extras if not r.startswith("greygate["))]
     waiting, seen = required(own), set()
     while waiting:
         name = waiting.pop()

@@ -211,7 +211,7 @@ def test_no_text_of_a_validation_becomes_a_tag_or_ends_a_script():
         named = [replace(r, signal=text, unit=text, record=text) for r in ranges]
         return validation_page(Judged(text, text, 3, 1e-2, (text,), [v], named))
 
-    without_plotly = re.compile(r"<script>/\*.*?</script>", re.S)
+    without_plotly = re.compile(r'<script type="text/plain" id="plotly">.*?</script>', re.S)
     plain = Tags(without_plotly.sub("", shown("plain"))).found
     assert len(plain) > 100
     for text in HOSTILE:
