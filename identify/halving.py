@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import zip_longest
 from time import process_time
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import binom
@@ -25,7 +26,9 @@ from greygate.identify.ladder import (
     SUBSPACE,
     Form,
     Orders,
+    calmed,
     falling,
+    fed_back,
     grown,
     own,
 )
@@ -50,7 +53,10 @@ STATE = (0.03, 1.0, 1e-3)  # decays of a state space's neurons, whose signals ar
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
 SURE = 0.95  # that a network is better than every linear model, from which it is chosen
 SPOILT = 1.1  # factor of the error over everything by which a fit to everything may be worse than one to a part
-LARGER, FAR = 1.2, 10.0  # times the recorded inputs, with which a run is to stay within so many scales of the output
+ASIDE, STRAY = (
+    0.5,
+    3.0,
+)  # deviations by which inputs stand elsewhere, and times what was recorded that a run may then fill
 SAFER = 1.5  # factor of the error up to which a network whose linear loop does not grow is taken before one whose does
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
 FEWEST = 20  # samples, from which something may be fitted at all
@@ -121,7 +127,8 @@ class Tried:
     """What became of a model.
 
     networks: fold -> network. errors: fold -> errors (N,) over each of its held-out blocks, in the unit of the output,
-    None where the free run diverges. seconds: that it took in all. safe: its linear loop does not grow.
+    None where the free run diverges. seconds: that it took in all. safe: no network of it
+    has a linear loop that grows, or strays.
     """
 
     model: Model
@@ -223,6 +230,14 @@ def reach(task: Task, seen: Iterable[Mapping], deepest: int = FEW) -> tuple[list
     return list(dict.fromkeys(delays)), sorted({1, apart})
 
 
+class Standing(NamedTuple):
+    """Whether a network is no good beyond what was recorded, and its RMS error over all of that; inf: diverges."""
+
+    wild: bool
+    error: float
+    network: Network
+
+
 class Halving:
     """A search over one task. seconds: its time limit. jobs: trainings side by side."""
 
@@ -286,8 +301,12 @@ class Halving:
         return [model for pair in turns for model in pair if model]
 
     def spaces(self) -> list[Orders]:
-        """Taps of the linear models from which states are grown: the best one, of each kind, and of low orders."""
+        """Taps of the linear models from which states are grown: the best one, of each kind, and of low orders.
+
+        Where an output may rest anywhere, integrating ones alone: no others would know where it begins.
+        """
         found = [t.model.orders for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)]
+        found = [o for o in found if o.integrating or self.task.parts != HALVES]
         stay, drift = ([o for o in found if o.integrating is kind] for kind in (False, True))
         low = [[o for o in stay if o.order == order] for order in LOW]
         return list(dict.fromkeys(o for of in (found, drift, stay, *low) for o in of[:1]))
@@ -321,9 +340,9 @@ class Halving:
         best = next((t for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)), None)
         if best is None:
             return True
-        longest, networks = max(len(r) for r in self.task.records.values()), best.networks.values()
+        networks = best.networks.values()
         falls = [falling(n, best.model.orders, self.task.output) for n in networks]
-        slow = most(not 0 <= f <= longest for f in falls)
+        slow = most(not 0 <= f <= longest(self.task) for f in falls)
         return slow or most(self.whole(n) > WORSE * best.error for n in networks)
 
     def bases(self) -> list[Tried]:
@@ -399,14 +418,22 @@ class Halving:
         """RMS error of free runs over the complete recordings; inf: diverges."""
         return pooled([self.task.errors(network, r) for r in self.task.records.values()])
 
-    def standing(self, tried: Tried) -> tuple[float, Network]:
-        """Error over the complete recordings of a fold's network, and it: the first that does not drift off, if any."""
+    def stands(self, model: Model, network: Network) -> "Standing":
+        wild = grows(model, network, self.task) or strays(network, self._line(model), self.task)
+        return Standing(wild, self.whole(network), network)
+
+    def _line(self, model: Model) -> Network | None:
+        """The linear network from which a model is grown, as its first fold left it."""
+        return self.tried[model.line].first if model.line in self.tried and not model.form.linear else None
+
+    def standing(self, tried: Tried) -> "Standing":
+        """A fold's network over the complete recordings: the first that does not drift off, if any."""
         found = []
         for network in sorted(tried.networks.values(), key=lambda n: grows(tried.model, n, self.task)):
-            found.append((self.whole(network), network))
-            if found[-1][0] <= WORSE * tried.error:
+            found.append(self.stands(tried.model, network))
+            if found[-1].error <= WORSE * tried.error:
                 return found[-1]
-        return min(found, key=lambda f: f[0])
+        return min(found, key=lambda f: (f.wild, f.error))
 
     def final(self) -> tuple[Tried, Trained]:
         """The chosen model, fitted to everything; the next one where its free run over everything drifts off.
@@ -414,23 +441,22 @@ class Halving:
         Where all of the best do, it is the one that errs least: the recordings' inputs do not explain their output.
         """
         first = self.chosen()
-        best = [first, *(t for t in self.finalists() if t is not first)][:REFITTED]
+        best = [first, *(t for t in self.finalists() if t.safe and t is not first)][:REFITTED]
         starts = {t.model: self.standing(t) for t in best}
-        before = {model: error for model, (error, _) in starts.items()}
-        sound = [t for t in best if before[t.model] <= WORSE * t.error]
-        best = sound[:1] or sorted(best, key=lambda t: before[t.model])
-        found: list[tuple[float, Tried, Trained]] = []
+        sound = [t for t in best if not starts[t.model].wild and starts[t.model].error <= WORSE * t.error]
+        best = sound[:1] or sorted(best, key=lambda t: starts[t.model].error)
+        found: list[tuple[Standing, Tried, Trained]] = []
         for done, tried in enumerate(best):
             left = self.deadline().left * max(self.jobs, 1)
             if found and left <= 0:
                 break
-            fit = self.complete(tried, left / (len(best) - done))
-            error = self.whole(fit.network) if stable(tried.model, fit.network, self.task) else np.inf
-            if SPOILT * before[tried.model] < error:  # more data have made it worse: as its first fold left it
-                error, fit = before[tried.model], replace(fit, network=starts[tried.model][1], initial=())
-            found.append((error, tried, fit))
-        error, tried, fit = min(found, key=lambda f: f[0])
-        if not np.isfinite(error):
+            fit, start = self.complete(tried, left / (len(best) - done)), starts[tried.model]
+            now = self.stands(tried.model, fit.network)
+            if (start.wild, SPOILT * start.error) < (now.wild, now.error):  # more data have made it worse
+                now, fit = start, replace(fit, network=start.network, initial=())
+            found.append((now, tried, fit))
+        now, tried, fit = min(found, key=lambda f: (f[0].wild, f[0].error))
+        if not np.isfinite(now.error):
             raise InputError("every model diverges over the complete recordings; are they of one plant?")
         return tried, fit
 
@@ -485,7 +511,7 @@ def warm(task: Task, clock: Clock | None = None) -> None:
     record = next(iter(task.records.values()))
     model, pieces = Model(LINEAR, Orders(1, (0,) * len(task.inputs)), 0.0), [record.cut(0, FEWEST, skip=0)]
     start = taught(model.form.build(model.orders, task.inputs, task.output, 0), pieces).network
-    trained(model, start, pieces, 1, math.inf)
+    trained(model, task, start, pieces, 1, math.inf)
     if clock:
         clock.note()
 
@@ -527,11 +553,14 @@ def judged(
             return None
         networks[place] = fit.network
         errors[place] = [task.errors(networks[place], block) for block in fold.blocks]
-    safe = not most(grows(model, n, task) for n in networks.values())
-    if not safe and model.form.loop_is_linear:
+    growing = [grows(model, n, task) for n in networks.values()]
+    if most(growing) and model.form.loop_is_linear:
         errors = {place: [None] * len(of) for place, of in errors.items()}
     if until.clock:
         until.clock.note()
+    safe = not any(growing)
+    if safe and line and number >= FULL:
+        safe = not any(strays(n, line.networks[place], task) for place, n in networks.items())
     return Tried(model, number, networks, errors, process_time() - began, safe)
 
 
@@ -541,33 +570,39 @@ def most(of: Iterable[bool]) -> bool:
     return 2 * sum(found) > len(found)
 
 
+def longest(task: Task) -> int:
+    """Samples of the longest recording."""
+    return max(len(r) for r in task.records.values())
+
+
 def grows(model: Model, network: Network, task: Task) -> bool:
     """Whether the motions of its linear loop grow by e within the longest recording.
 
     Its neurons are bounded: where they are at their bounds, beyond what it was trained on, the linear loop alone acts.
     """
-    longest = max(len(r) for r in task.records.values())
-    return model.form.feedback and -longest < falling(network, model.orders, task.output) < 0
+    return model.form.feedback and -longest(task) < falling(network, model.orders, task.output) < 0
 
 
-def stable(model: Model, network: Network, task: Task) -> bool:
-    """Whether its motions do not grow: by its linear loop, or where neurons may hold it, with inputs larger than seen.
+def strays(network: Network, line: Network | None, task: Task) -> bool:
+    """Whether a run leaves what the recording and a linear model fill, where the inputs stand beside what they were.
 
-    A model whose motions grow is of no use beyond what it was fitted to.
+    Held-out blocks of the same day do not show it: a loop of neurons that stands still about there may run off.
     """
-    if not grows(model, network, task):
-        return True
-    return not model.form.loop_is_linear and all(_holds(network, r, task.output) for r in task.records.values())
+    return line is not None and any(
+        not _reach(network, r, task.output, aside) <= STRAY * _reach(line, r, task.output, aside)
+        for r in task.records.values()
+        for aside in (-ASIDE, ASIDE)
+    )
 
 
-def _holds(network: Network, record: Record, output: Port) -> bool:
-    """Whether a run with LARGER inputs stays near what was recorded."""
-    inputs = {p.name: p.offset + LARGER * (record.inputs[p.name] - p.offset) for p in network.inputs}
+def _reach(network: Network, record: Record, output: Port, aside: float) -> float:
+    """How far a run with inputs so many deviations aside goes, or the recording does; inf where the run diverges."""
+    inputs = {p.name: record.inputs[p.name] + aside * np.std(record.inputs[p.name]) for p in network.inputs}
     try:
         run = network.run(inputs, {n: float(np.ravel(v)[-1]) for n, v in record.initial.items()})[output.name]
     except InputError:
-        return False
-    return bool(np.abs(output.normalised(run)).max() < FAR)  # not a number: False
+        return np.inf
+    return max(float(np.abs(output.normalised(y)).max()) for y in (run, record.targets[output.name]))
 
 
 def linear(
@@ -627,7 +662,7 @@ def refitted(
         return as_it_is(found, records)
     if model.form in (ARX, ARMAX, BJ):
         return estimated(model.form, model.orders, task.output, start, records, epochs, max(seconds, LEAST))
-    return trained(model, start, records, epochs, seconds, tolerance)
+    return trained(model, task, start, records, epochs, seconds, tolerance)
 
 
 def network(
@@ -648,7 +683,7 @@ def network(
     fits: list[Trained] = []
     for start in filter(None, starts):
         if (left := until.left) > 0:
-            fits.append(trained(model, start, pieces, rung.epochs, left))
+            fits.append(trained(model, task, start, pieces, rung.epochs, left))
     return lowest([f for f in fits if not grows(model, f.network, task)] or fits) if fits else None
 
 
@@ -668,20 +703,38 @@ def as_it_is(network: Network, records: Sequence[Record]) -> Trained:
 
 
 def trained(
-    model: Model, start: Network, pieces: Sequence[Record], epochs: int, seconds: float, tolerance: float = STILL
+    model: Model,
+    task: Task,
+    start: Network,
+    pieces: Sequence[Record],
+    epochs: int,
+    seconds: float,
+    tolerance: float = STILL,
 ) -> Trained:
-    """The model trained in free run from `start` on. seconds: of the processor."""
+    """The model trained in free run from `start` on. seconds: of the processor.
+
+    Neurons can hold a linear loop that grows, but only where they were trained. Such a loop is calmed and held, and
+    they are trained once more: they may still add to it, within their bounds.
+    """
+    ends = process_time() + seconds
     decay = pulled(start, model.decay) if model.form.states else model.decay
-    return train(
-        start,
-        pieces,
+    run = partial(
+        train,
+        records=pieces,
         estimate_initial=True,
         epochs=epochs,
         decay=decay,
-        seconds=max(seconds, LEAST),
         clock=process_time,
         tolerance=tolerance,
     )
+    fit = run(start, seconds=max(seconds, LEAST))
+    if model.form.linear or not grows(model, fit.network, task):
+        return fit
+    of = model.orders, task.output
+    calm = calmed(fit.network, *of, longest(task))
+    loop = dict.fromkeys(fed_back(calm, *of), False)
+    again = run(calm, free=loop, seconds=max(ends - process_time(), LEAST))
+    return fit if again.outcome is Outcome.DIVERGED else again
 
 
 def lowest(fits: Sequence[Trained]) -> Trained:

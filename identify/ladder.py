@@ -138,15 +138,29 @@ def falling(network: Network, orders: Orders, output: Port) -> float:
 
     Of an integrating model: of its rate.
     """
-    taken, weights = [p.name for p in (*network.inputs, output)], network.parameters()
-    loop = own(RATE if orders.integrating else LOOP, taken)
-    if (state := f"{own(STATE, taken)}.{own(PAST, taken)}") in weights:
-        motions, stride = np.linalg.eigvals(weights[state]), 1
-    else:
-        denominator = [1.0, *(-float(weights[f"{loop}.{output.name}_z{d}"][0, 0]) for d in orders.feedback)]
-        motions, stride = np.roots(denominator), orders.stride
+    weights = network.parameters()
+    names = fed_back(network, orders, output)
+    loop = [weights[name] for name in names]
+    motions = np.linalg.eigvals(loop[0]) if len(loop) == 1 else np.roots([1.0, *(-float(w[0, 0]) for w in loop)])
     largest = float(np.max(np.abs(motions), initial=0.0))
-    return np.inf if largest == 1 else 0.0 if largest == 0 else -stride / float(np.log(largest))
+    return np.inf if largest == 1 else 0.0 if largest == 0 else -min(names.values()) / float(np.log(largest))
+
+
+def fed_back(network: Network, orders: Orders, output: Port) -> dict[str, int]:
+    """The weights of a model's linear loop, by name, and the samples ago that each reads."""
+    taken = [p.name for p in (*network.inputs, output)]
+    if (state := f"{own(STATE, taken)}.{own(PAST, taken)}") in network.parameters():
+        return {state: 1}
+    loop = own(RATE if orders.integrating else LOOP, taken)
+    return {f"{loop}.{output.name}_z{d}": d for d in orders.feedback}
+
+
+def calmed(network: Network, orders: Orders, output: Port, within: int) -> Network:
+    """The network, whose linear loop is scaled so that its slowest motion falls by e `within` samples."""
+    factor = np.exp(-1 / within - 1 / abs(falling(network, orders, output)))
+    weights = network.parameters()
+    loop = fed_back(network, orders, output)
+    return network.with_parameters({name: weights[name] * factor**ago for name, ago in loop.items()})
 
 
 def _curve(network: Network, source: str, name: str, neurons: int) -> None:

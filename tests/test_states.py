@@ -105,8 +105,8 @@ def test_states_that_grow_are_judged_as_a_model_that_diverges():
     model = halving.Model(SPACES[0], Orders(1, (0, 0)))
     linear, records = line(posed, model.orders, **{"state.u_z0": 1.0, "state.y_z1": 0.5}), [*posed.records.values()]
     network = states(model.form, model.orders, posed.inputs, posed.output, linear, records, 0)
-    assert halving.stable(model, network, posed)
-    assert not halving.stable(model, network.with_parameters({"states.past": [[1.2]]}), posed)
+    assert not halving.grows(model, network, posed)
+    assert halving.grows(model, network.with_parameters({"states.past": [[1.2]]}), posed)
 
 
 def test_a_network_is_chosen_only_where_it_is_surely_better_than_a_line():
