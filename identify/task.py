@@ -17,6 +17,7 @@ from greygate.plants.recording import Recording
 FOLDS = 8  # each holds out an eighth of every recording
 HALVES = 2  # folds where a free run over an eighth says little of one over everything
 LONGEST = 100  # samples that a state may settle in, if the user does not say: several times any model's states
+SHORTEST = 5  # samples in which a state settles, for the length of a block
 SETTLING = 4  # blocks have at least this many times the samples that their state settles in
 
 
@@ -95,7 +96,9 @@ def task(recordings: Mapping[str, Recording], inputs: Sequence[str], output: str
 
     shortest = min(recordings.values(), key=lambda r: r.samples)
     asked = settle if settle is not None else min(shortest.samples // (FOLDS * SETTLING), LONGEST)
-    if shortest.samples < (least := FOLDS * SETTLING * max(asked, 5)):
+    part = SETTLING * max(asked, SHORTEST)
+    if shortest.samples < (least := HALVES * part):
         raise InputError(f"{shortest.source}: {shortest.samples} samples; give at least {least} in each recording")
-    found = Task(tuple(port(n) for n in inputs), port(output), {}, asked)
+    parts = min(FOLDS, shortest.samples // part)
+    found = Task(tuple(port(n) for n in inputs), port(output), {}, asked, parts)
     return replace(found, records={n: found.record(r) for n, r in recordings.items()})

@@ -272,8 +272,8 @@ def test_a_channel_that_stands_still_is_refused(changed, says):
 
 
 def test_a_short_recording_is_refused_with_the_length_that_is_needed():
-    with pytest.raises(InputError, match="run2: 100 samples; give at least 160"):  # it, and not the first one
-        task({"a": recorded(1), "b": recorded(2, samples=100)}, ["u"], "y")
+    with pytest.raises(InputError, match="run2: 39 samples; give at least 40"):  # it, and not the first one
+        task({"a": recorded(1), "b": recorded(2, samples=39)}, ["u"], "y")
 
 
 @pytest.mark.parametrize("form", [ARX, ARMAX, BJ])
@@ -319,6 +319,13 @@ def test_a_short_recording_is_identified_without_the_taps_that_it_is_too_short_f
     taps = [t.model.orders.order + 1 for t in search.tried.values() if t.model.form == FIR]
     assert taps == [16]
     assert search.chosen().error < 2 * NOISE
+
+
+@pytest.mark.parametrize(("samples", "parts", "error"), [(40, 2, 0.1), (100, 5, 0.03), (159, 7, 0.03), (160, 8, 0.03)])
+def test_the_shorter_a_recording_the_fewer_parts_judge(short, samples, parts, error):
+    search = found(recorded(1, samples=samples)).search
+    assert search.task.parts == parts
+    assert search.chosen().error < error
 
 
 # ---- the subspace
