@@ -50,7 +50,7 @@ def look(recording: Recording, inputs: Sequence[str], output: str) -> Seen:
     delays = {name: _delay(recording, name, output) for name in inputs}
     remarks = [line for name, seen in channels.items() for line in _remarks(name, seen, name == output, recording.dt)]
     for name, delay in delays.items():
-        if delay is None:
+        if delay is None and _longest(recording) > 0:
             remarks.append(f"{output} does not visibly answer {name}: it may be slow, or {name} without effect")
     return {
         "samples": recording.samples,
@@ -71,7 +71,7 @@ def _channel(x: np.ndarray, unit: str, dt: float) -> Channel:
     deviation = float(np.std(x))
     steps = np.diff(np.unique(x))
     quarter = max(len(x) // 4, 1)
-    ends = float(np.mean((x == x.min()) | (x == x.max())))
+    ends = float(np.sum((x == x.min()) | (x == x.max())) - 2) / len(x)  # two samples stand there always
     return {
         "unit": unit,
         "range": (float(x.min()), float(x.max())),
@@ -93,11 +93,15 @@ def bandwidth(x: np.ndarray, dt: float) -> float:
 
 def _delay(recording: Recording, source: str, target: str) -> int | None:
     """Samples, None where no answer is seen."""
-    longest = min(LONGEST, recording.samples // 8 - 20)
     try:
-        return estimated_delay(recording, source, target, max(longest, 0), onset=True)
+        return estimated_delay(recording, source, target, _longest(recording), onset=True)
     except InputError:
         return None
+
+
+def _longest(recording: Recording) -> int:
+    """Samples to which a delay is looked for; a short recording shows none."""
+    return max(min(LONGEST, recording.samples // 8 - 20), 0)
 
 
 def _remarks(name: str, seen: Mapping, output: bool, dt: float) -> list[str]:

@@ -321,6 +321,13 @@ def test_a_short_recording_is_identified_without_the_taps_that_it_is_too_short_f
     assert search.chosen().error < 2 * NOISE
 
 
+def test_a_short_step_response_is_not_said_to_be_without_answer_or_at_a_limit():
+    u = np.r_[np.zeros(10), np.ones(50)]
+    y = lfilter([0, 0.1], [1, -0.9], u) + 0.01 * np.random.default_rng(3).normal(size=60)
+    remarks = look(Recording(0.5, {"u": u, "y": y}, {"u": "V", "y": "m"}), ["u"], "y")["remarks"]
+    assert [r for r in remarks if "answer" in r or "limit" in r] == []
+
+
 @pytest.mark.parametrize(("samples", "parts", "error"), [(40, 2, 0.1), (100, 5, 0.03), (159, 7, 0.03), (160, 8, 0.03)])
 def test_the_shorter_a_recording_the_fewer_parts_judge(short, samples, parts, error):
     search = found(recorded(1, samples=samples)).search
