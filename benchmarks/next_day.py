@@ -1,6 +1,6 @@
 """`greygate identify` on recordings of one day, judged on those of another: other levels, signals and surroundings.
 
-Twelve plants that numpy and scipy alone make, of the kinds on which a choice by held-out stretches has lost to a linear
+Twenty plants that numpy and scipy alone make, of the kinds on which a choice by held-out stretches has lost to a linear
 model: two levels of the input, a disturbance that nobody measures, coloured noise, many samples a period. Each has its
 error on the other day beside the best linear model's of any order, and both errors held out.
 
@@ -192,11 +192,109 @@ def plate(random: np.random.Generator, other: bool) -> Run:
     return {"u": u}, y + 0.02 * np.std(y) * random.normal(size=len(u))
 
 
+def battery(random: np.random.Generator, other: bool) -> Run:
+    """A cell, whose charge rests anywhere; on the other day it begins emptier, with weaker pulses."""
+    u = levels(random, 2000, -2, 2.05, (5, 60)) * (0.7 if other else 1)
+
+    def rate(x, t, u):
+        return [-u[0] / 2000, (0.03 * u[0] - x[1]) / 15]
+
+    charge, drop = simulated(rate, (0.5 if other else 0.6, 0), u[:, None], 1.0).T
+    rest = 3.4 + 0.6 * charge + 0.15 * np.tanh(8 * (charge - 0.9)) - 0.2 * np.tanh(20 * (0.1 - charge))
+    return {"u": u}, rest - 0.05 * u - drop + 1e-3 * random.normal(size=len(u))
+
+
+def reactor(random: np.random.Generator, other: bool) -> Run:
+    """An exothermic stirred tank near its ignition."""
+    u = levels(random, 1500, *((288, 300) if other else (285, 301)), (20, 80))
+
+    def rate(x, t, u):
+        k = 7.2e10 * np.exp(-8750 / x[1])
+        return [1 - x[0] - k * x[0], 350 - x[1] + 209.2 * k * x[0] + 2.09 * (u[0] - x[1])]
+
+    return {"u": u}, simulated(rate, (0.87, 325), u[:, None], 0.05)[:, 1] + 0.2 * random.normal(size=len(u))
+
+
+def muscle(random: np.random.Generator, other: bool) -> Run:
+    """The pressure of a chamber that a valve fills and empties; its flow chokes."""
+    u = levels(random, 2000, *((-0.7, 0.8) if other else (-1, 1)), (20, 100))
+
+    def flow(high, low):
+        over = np.maximum(np.clip(low / high, 0, 1) - 0.3, 0) / 0.7
+        return high * np.sqrt(1 - over**2)
+
+    def rate(x, t, u):
+        p = max(x[0], 1.0)
+        return [3 * (max(u[0], 0) * flow(7, p) - max(-u[0], 0) * flow(p, 1.0)) - 0.05 * (p - 1)]
+
+    return {"u": u}, simulated(rate, (3,), u[:, None], 0.01)[:, 0] + 0.01 * random.normal(size=len(u))
+
+
+def boost(random: np.random.Generator, other: bool) -> Run:
+    """A step-up converter: two levels of its duty on the first day, any on the other."""
+    u = levels(random, 1200, 0, 1, (15, 60))
+    u = 0.25 + 0.3 * u if other else np.where(u > 0.5, 0.5, 0.3)
+
+    def rate(x, t, u):
+        open_ = 1 - u[0]
+        return [(12 - 0.3 * x[0] - open_ * x[1]) / 5e-3, (open_ * x[0] - x[1] / 30) / 1e-3]
+
+    return {"u": u}, simulated(rate, (1, 18), u[:, None], 5e-4)[:, 1] + 0.05 * random.normal(size=len(u))
+
+
+def mixer(random: np.random.Generator, other: bool) -> Run:
+    """Heat that a flow carries on: the product of two inputs, and a lag that one of them sets."""
+    inputs = {"flow": levels(random, 1500, 0.2, 1, (20, 100)), "power": levels(random, 1500, 0, 3, (15, 90))}
+    inputs["power"] *= 0.8 if other else 1
+
+    def rate(x, t, row):
+        flow, power = row
+        return [0.9 * power - 0.05 * flow * (x[0] - 15) - 0.01 * (x[0] - 20), (x[0] - x[1]) * (0.1 + 0.3 * flow)]
+
+    y = simulated(rate, (30, 30), np.stack([*inputs.values()], 1), 1.0)[:, 1]
+    return inputs, y + 0.1 * random.normal(size=len(y))
+
+
+def gear(random: np.random.Generator, other: bool) -> Run:
+    """A load behind a gear with play, which rests anywhere."""
+    u = levels(random, 2500, -3, 3, (20, 80)) * (0.8 if other else 1)
+    u -= u.mean()
+
+    def rate(x, t, u):
+        apart = x[0] - x[2]
+        tooth = 400 * np.sign(apart) * max(abs(apart) - 0.15, 0)
+        return [x[1], u[0] - tooth - 0.5 * x[1], x[3], (tooth - x[3]) / 0.8]
+
+    return {"u": u}, simulated(rate, (0,) * 4, u[:, None], 0.02)[:, 2] + 2e-3 * random.normal(size=len(u))
+
+
+def turbine(random: np.random.Generator, other: bool) -> Run:
+    """A rotor in a wind that never stands still, and is stronger on the other day."""
+    wind = 8 + other + 1.5 * lfilter([0.15], [1, -0.98], random.normal(size=2500))
+    y = simulated(lambda x, t, u: [(0.02 * u[0] ** 3 / (x[0] + 1) - 0.02 * x[0] ** 2) / 4], (3,), wind[:, None], 0.5)
+    return {"wind": wind}, y[:, 0] + 0.03 * random.normal(size=len(wind))
+
+
+def closed(random: np.random.Generator, other: bool) -> Run:
+    """A linear plant recorded under a controller, which feeds the noise back to the input."""
+    asked = levels(random, 1500, -1, 1, (20, 60)) * (1.3 if other else 1)
+    noise = lfilter([0.05], [1, -0.9], random.normal(size=len(asked)))
+    u, y, summed, x = np.zeros(len(asked)), np.zeros(len(asked)), 0.0, np.zeros(2)
+    for k, to in enumerate(asked):
+        y[k] = x[1] + noise[k]
+        summed += 0.02 * (to - y[k])
+        u[k] = 1.5 * (to - y[k]) + summed
+        x = np.array([0.85 * x[0] + 0.15 * np.clip(u[k], -1.5, 1.5), 0.9 * x[1] + 0.1 * x[0]])
+    return {"u": u}, y
+
+
 PLANTS = {
     "dryer": Made(dryer, 0.08), "converter": Made(converter, 2e-3), "heater": Made(heater, 4.0),
     "building": Made(building, 0.25), "motor": Made(motor, 1e-3), "exchanger": Made(exchanger, 1.0),
     "hysteresis": Made(hysteresis, 2e-3), "silverbox": Made(silverbox, 1 / 600), "sandwich": Made(sandwich, 1 / 51200),
-    "tanks": Made(tanks, 4.0), "servo": Made(servo, 0.02), "plate": Made(plate, 1.0),
+    "tanks": Made(tanks, 4.0), "servo": Made(servo, 0.02), "plate": Made(plate, 1.0), "battery": Made(battery, 1.0),
+    "reactor": Made(reactor, 0.05), "muscle": Made(muscle, 0.01), "boost": Made(boost, 5e-4), "mixer": Made(mixer, 1.0),
+    "gear": Made(gear, 0.02), "turbine": Made(turbine, 0.5), "closed": Made(closed, 0.1),
 }  # fmt: skip
 
 
