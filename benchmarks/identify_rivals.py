@@ -1,15 +1,19 @@
-"""Beside `identify`: a torch network of equal size, and thirty networks as a person would tune them.
+"""Beside `identify`: a torch network of equal size, thirty networks as a person would tune them, and peers.
 
 torch: `torch.nn.RNN` (tanh) with a linear output, of as many weights as what `identify` chose (results/identify.json)
 or a few more, in float64 by Adam through windows, for the minute that `identify` has. Its weights are those of the
 lowest error on the last quarter of each recording, which it does not train on; it has as many first samples of a test
 to settle in. tuned: thirty draws of form, neurons, order, delay, stride, decay and seed, each trained to the end on
 three quarters of each recording; the best on the last quarter is fitted to everything. The lowest test error of the
-thirty is given too: no person could choose by it.
+thirty is given too: no person could choose by it. jax-sysid, sysidentpy: identify_peer.py.
 """
 
+import json
 import math
+import subprocess
 from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
 from time import monotonic
 from typing import Annotated
 
@@ -37,7 +41,7 @@ from greygate.models.training.record import Record
 
 from .identify import JOBS, NAMES, SECONDS, judged, recorded
 from .made import keep, stored
-from .shared import say
+from .shared import PEERS, say, scratch
 
 TAKES = "half an hour"
 RATE, WINDOW, TOGETHER = 1e-2, 200, 64  # of Adam; judged samples of a window; windows of a step
@@ -177,7 +181,30 @@ def tuned(name: str) -> dict:
     }
 
 
-KINDS = {"torch": rival, "tuned": tuned}
+# ---- peers
+
+
+def peer(package: str, name: str) -> dict:
+    """What a peer finds for the same recordings in the same minute, in the interpreter of `make peers`."""
+    asked, tests, _ = posed(name)
+
+    def listed(records: Sequence[Record]) -> list:
+        return [[u.tolist(), y[:, None].tolist()] for u, y in (signals(asked, r) for r in records)]
+
+    first, last = parted(asked)
+    told = {"first": listed(first), "last": listed(last), "tests": listed(list(tests.values()))}
+    with scratch() as folder:
+        file = folder / "asked.json"
+        file.write_text(json.dumps({**told, "package": package, "settle": asked.settle, "seconds": SECONDS / JOBS}))
+        script = Path(__file__).with_name("identify_peer.py")
+        done = subprocess.run([str(PEERS), str(script), str(file)], capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout.splitlines()[-1])
+    scale = asked.output.scale
+    found["tests"] = {n: e * scale for n, e in zip(tests, found["tests"], strict=True)}
+    return found | {"held_out": found["held_out"] * scale}
+
+
+KINDS = {"torch": rival, "tuned": tuned, **{n: partial(peer, n) for n in ("jax-sysid", "sysidentpy")}}
 
 
 def main(kind: Annotated[str, KINDS], *names: Annotated[str, NAMES]) -> None:
