@@ -195,7 +195,7 @@ def peer(package: str, name: str) -> dict:
     told = {"first": listed(first), "last": listed(last), "tests": listed(list(tests.values()))}
     with scratch() as folder:
         file = folder / "asked.json"
-        file.write_text(json.dumps({**told, "package": package, "settle": asked.settle, "seconds": SECONDS / JOBS}))
+        file.write_text(json.dumps({**told, "package": package, "settle": asked.settle, "seconds": SECONDS}))
         script = Path(__file__).with_name("identify_peer.py")
         done = subprocess.run([str(PEERS), str(script), str(file)], capture_output=True, text=True, check=True)
     found = json.loads(done.stdout.splitlines()[-1])

@@ -450,7 +450,8 @@ class Halving:
             left = self.deadline().left * max(self.jobs, 1)
             if found and left <= 0:
                 break
-            fit, start = self.complete(tried, left / (len(best) - done)), starts[tried.model]
+            share = math.inf if tried.model.form.linear else left / (len(best) - done)  # as `best_linear` has it
+            fit, start = self.complete(tried, share), starts[tried.model]
             now = self.stands(tried.model, fit.network)
             if (start.wild, SPOILT * start.error) < (now.wild, now.error):  # more data have made it worse
                 now, fit = start, replace(fit, network=start.network, initial=())
