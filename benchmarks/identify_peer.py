@@ -2,7 +2,8 @@
 
 Each is tuned as its documentation does: a state space with a linear bypass, by Adam and then L-BFGS, of several orders
 and seeds, its first state from the samples that give `identify` its state; polynomial NARX by FROLS, of several degrees
-and lags. What errs least on the last quarter of the recordings, in free run, is tested. Signals are normalised. Seconds are of the processor.
+and lags. What errs least on the last quarter of the recordings, in free run, is tested. Signals are normalised, seconds
+of the processor.
 """
 
 import json
