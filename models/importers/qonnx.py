@@ -79,6 +79,11 @@ class Declaring(Builder):
             _cannot(hint)
         return self._noted(activation, value, super().activated(value, activation, hint))
 
+    def product(self, a: Value, b: Value, hint: str = "product") -> Value:
+        if a.constant is None and b.constant is None:
+            _cannot(hint)
+        return super().product(a, b, hint)
+
     def clipped(self, value: Value, low: Number | None, high: Number | None, hint: str = "clip") -> Value:
         _cannot(hint)
 
