@@ -231,9 +231,9 @@ def reach(task: Task, seen: Iterable[Mapping], deepest: int = FEW) -> tuple[list
 
 
 class Standing(NamedTuple):
-    """Whether a network is no good beyond what was recorded, and its RMS error over all of that; inf: diverges."""
+    """Whether a network's linear loop grows, and its RMS error over the complete recordings; inf: diverges."""
 
-    wild: bool
+    grows: bool
     error: float
     network: Network
 
@@ -419,12 +419,7 @@ class Halving:
         return pooled([self.task.errors(network, r) for r in self.task.records.values()])
 
     def stands(self, model: Model, network: Network) -> "Standing":
-        wild = grows(model, network, self.task) or strays(network, self._line(model), self.task)
-        return Standing(wild, self.whole(network), network)
-
-    def _line(self, model: Model) -> Network | None:
-        """The linear network from which a model is grown, as its first fold left it."""
-        return self.tried[model.line].first if model.line in self.tried and not model.form.linear else None
+        return Standing(grows(model, network, self.task), self.whole(network), network)
 
     def standing(self, tried: Tried) -> "Standing":
         """A fold's network over the complete recordings: the first that does not drift off, if any."""
@@ -433,7 +428,7 @@ class Halving:
             found.append(self.stands(tried.model, network))
             if found[-1].error <= WORSE * tried.error:
                 return found[-1]
-        return min(found, key=lambda f: (f.wild, f.error))
+        return min(found, key=lambda f: (f.grows, f.error))
 
     def final(self) -> tuple[Tried, Trained]:
         """The chosen model, fitted to everything; the next one where its free run over everything drifts off.
@@ -443,7 +438,7 @@ class Halving:
         first = self.chosen()
         best = [first, *(t for t in self.finalists() if t.safe and t is not first)][:REFITTED]
         starts = {t.model: self.standing(t) for t in best}
-        sound = [t for t in best if not starts[t.model].wild and starts[t.model].error <= WORSE * t.error]
+        sound = [t for t in best if not starts[t.model].grows and starts[t.model].error <= WORSE * t.error]
         best = sound[:1] or sorted(best, key=lambda t: starts[t.model].error)
         found: list[tuple[Standing, Tried, Trained]] = []
         for done, tried in enumerate(best):
@@ -453,10 +448,10 @@ class Halving:
             share = math.inf if tried.model.form.linear else left / (len(best) - done)  # as `best_linear` has it
             fit, start = self.complete(tried, share), starts[tried.model]
             now = self.stands(tried.model, fit.network)
-            if (start.wild, SPOILT * start.error) < (now.wild, now.error):  # more data have made it worse
+            if (start.grows, SPOILT * start.error) < (now.grows, now.error):  # more data have made it worse
                 now, fit = start, replace(fit, network=start.network, initial=())
             found.append((now, tried, fit))
-        now, tried, fit = min(found, key=lambda f: (f[0].wild, f[0].error))
+        now, tried, fit = min(found, key=lambda f: (f[0].grows, f[0].error))
         if not np.isfinite(now.error):
             raise InputError("every model diverges over the complete recordings; are they of one plant?")
         return tried, fit
@@ -587,7 +582,8 @@ def grows(model: Model, network: Network, task: Task) -> bool:
 def strays(network: Network, line: Network | None, task: Task) -> bool:
     """Whether a run leaves what the recording and a linear model fill, where the inputs stand beside what they were.
 
-    Held-out blocks of the same day do not show it: a loop of neurons that stands still about there may run off.
+    Held-out blocks of the same day do not show it: a loop of neurons that stands still about there may run off. A plant
+    may, too, as a pendulum does over its top: so another network is only preferred.
     """
     return line is not None and any(
         not _reach(network, r, task.output, aside) <= STRAY * _reach(line, r, task.output, aside)
