@@ -37,7 +37,7 @@ from greygate.identify.states import pulled, states
 from greygate.identify.study import Fold, parameters
 from greygate.identify.subspace import subspace
 from greygate.identify.task import HALVES, Task, started
-from greygate.models.accuracy import rms
+from greygate.models.accuracy import float_error, rms
 from greygate.models.layer import LONGEST_DELAY
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, Trained, train
@@ -595,11 +595,12 @@ def strays(network: Network, line: Network | None, task: Task) -> bool:
 def _reach(network: Network, record: Record, output: Port, aside: float) -> float:
     """How far a run with inputs so many deviations aside goes, or the recording does; inf where the run diverges."""
     inputs = {p.name: record.inputs[p.name] + aside * np.std(record.inputs[p.name]) for p in network.inputs}
+    target = record.targets[output.name]
     try:
-        run = network.run(inputs, {n: float(np.ravel(v)[-1]) for n, v in record.initial.items()})[output.name]
+        error = float_error(network, replace(record, inputs=inputs))[output.name]
     except InputError:
         return np.inf
-    return max(float(np.abs(output.normalised(y)).max()) for y in (run, record.targets[output.name]))
+    return max(float(np.abs(output.normalised(y)).max()) for y in (target + error, target))
 
 
 def linear(
