@@ -438,14 +438,15 @@ class Halving:
         first = self.chosen()
         best = [first, *(t for t in self.finalists() if t.safe and t is not first)][:REFITTED]
         starts = {t.model: self.standing(t) for t in best}
-        sound = [t for t in best if not starts[t.model].grows and starts[t.model].error <= WORSE * t.error]
-        best = sound[:1] or sorted(best, key=lambda t: starts[t.model].error)
+        sound = [t for t in best if starts[t.model].error <= WORSE * t.error]
+        best = sound or sorted(best, key=lambda t: starts[t.model].error)
         found: list[tuple[Standing, Tried, Trained]] = []
         for done, tried in enumerate(best):
             left = self.deadline().left * max(self.jobs, 1)
-            if found and left <= 0:
+            if (sound or left <= 0) and any(not now.grows for now, *_ in found):
                 break
-            share = math.inf if tried.model.form.linear else left / (len(best) - done)  # as `best_linear` has it
+            share = left if sound else left / (len(best) - done)
+            share = math.inf if tried.model.form.linear else share  # as `best_linear` has it
             fit, start = self.complete(tried, share), starts[tried.model]
             now = self.stands(tried.model, fit.network)
             if (start.grows, SPOILT * start.error) < (now.grows, now.error):  # more data have made it worse
