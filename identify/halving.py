@@ -555,7 +555,7 @@ def judged(
         errors = {place: [None] * len(of) for place, of in errors.items()}
     if until.clock:
         until.clock.note()
-    safe = not any(growing)
+    safe = not (most if model.form.linear else any)(growing)  # a line is fitted anew to everything
     if safe and line and number >= FULL:
         safe = not any(strays(n, line.networks[place], task) for place, n in networks.items())
     return Tried(model, number, networks, errors, process_time() - began, safe)
