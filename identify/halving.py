@@ -53,10 +53,8 @@ STATE = (0.03, 1.0, 1e-3)  # decays of a state space's neurons, whose signals ar
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
 SURE = 0.95  # that a network is better than every linear model, from which it is chosen
 SPOILT = 1.1  # factor of the error over everything by which a fit to everything may be worse than one to a part
-ASIDE, STRAY = (
-    0.5,
-    3.0,
-)  # deviations by which inputs stand elsewhere, and times what was recorded that a run may then fill
+ASIDE = 0.5  # deviations by which inputs stand beside what was recorded
+STRAY = 3.0  # times what the recording and a linear model then fill, from which a network's run strays
 SAFER = 1.5  # factor of the error up to which a network whose linear loop does not grow is taken before one whose does
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
 FEWEST = 20  # samples, from which something may be fitted at all
@@ -127,8 +125,8 @@ class Tried:
     """What became of a model.
 
     networks: fold -> network. errors: fold -> errors (N,) over each of its held-out blocks, in the unit of the output,
-    None where the free run diverges. seconds: that it took in all. safe: no network of it
-    has a linear loop that grows, or strays.
+    None where the free run diverges. seconds: that it took in all. safe: no network of it has a
+    linear loop that grows, or strays.
     """
 
     model: Model
@@ -306,7 +304,7 @@ class Halving:
         Where an output may rest anywhere, integrating ones alone: no others would know where it begins.
         """
         found = [t.model.orders for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)]
-        found = [o for o in found if o.integrating or self.task.parts != HALVES]
+        found = [o for o in found if o.integrating] or found
         stay, drift = ([o for o in found if o.integrating is kind] for kind in (False, True))
         low = [[o for o in stay if o.order == order] for order in LOW]
         return list(dict.fromkeys(o for of in (found, drift, stay, *low) for o in of[:1]))

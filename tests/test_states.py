@@ -175,3 +175,18 @@ def test_a_worker_leaves_the_file_of_a_clock_and_one_elsewhere_counts_the_wall()
     assert not file.exists()
     sleep(0.05)
     assert there.spent() >= 0.05
+
+
+def test_where_an_output_may_rest_anywhere_states_integrate():
+    posed = task({"a": recorded(1)}, ["u", "w"], "y")
+    search = halving.Halving(posed, np.inf, 1)
+    network = LINEAR.build(Orders(1, (0, 0)), posed.inputs, posed.output, 0)
+
+    def tried(error: float, **orders) -> None:
+        model = halving.Model(LINEAR, Orders(1, (0, 0), **orders), 0.0)
+        search.tried[model] = halving.Tried(model, 0, {0: network}, {0: [np.full(40, error)]}, 0.0)
+
+    tried(0.5)
+    assert [o.integrating for o in search.spaces()] == [False]
+    tried(1.0, step=0.1)
+    assert [o.integrating for o in search.spaces()] == [True]
