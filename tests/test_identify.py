@@ -468,6 +468,8 @@ def test_a_loop_that_grows_is_calmed_and_held_while_its_neurons_train(form):
     assert halving.grows(model, wild, posed)
     calm = calmed(wild, model.orders, posed.output, 400)
     assert falling(calm, model.orders, posed.output) == pytest.approx(400)
+    fit = halving.trained(model, posed, wild, pieces, 5, math.inf)
+    assert falling(fit.network, model.orders, posed.output) == pytest.approx(400)
     fit = halving.trained(model, posed, wild, pieces, 0, math.inf)
     assert not halving.grows(model, fit.network, posed)
     assert {n: fit.network.parameters()[n].tolist() for n in loop} == {n: calm.parameters()[n].tolist() for n in loop}
