@@ -55,7 +55,7 @@ def designed(program: Program, record: Record, name: str, count: bool) -> dict:
     which, design = DESIGNS[name]
     codes = program.encode(record.inputs)[:PLAYED]
     played = run(program, codes)
-    found: dict = {"clocks": architecture(which).clocks(program, design)}  # type: ignore[misc]
+    found: dict = {"clocks": architecture(which).clocks(program, design)}
     with scratch() as folder:
         case = Case(program, {"run": Scenario(codes, played.outputs, played.states)}, which, design)
         found["mismatch"] = [v.mismatch for v in verify_many([case], folder, seed=1).verdicts if v.mismatch]
