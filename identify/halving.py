@@ -582,7 +582,7 @@ def strays(network: Network, line: Network | None, task: Task) -> bool:
     """Whether a run leaves what the recording and a linear model fill, where the inputs stand beside what they were.
 
     Held-out blocks of the same day do not show it: a loop of neurons that stands still about there may run off. A plant
-    may, too, as a pendulum does over its top: so another network is only preferred.
+    may, too, as a mass does over its top: so another network is only preferred.
     """
     return line is not None and any(
         not _reach(network, r, task.output, aside) <= STRAY * _reach(line, r, task.output, aside)
