@@ -1,47 +1,79 @@
-"""Closed-loop steps per CPU second of the compiled cylinder network: engines, Verilator, cocotb, interpreter."""
+"""Closed-loop steps a second of the emulator, one scenario and many, beside Verilator, alkaid and da4ml in one run.
 
-import statistics
-import time
+The compiled cylinder network, as the engine, the parallel design in Verilator and the interpreter run it; and the flow
+network of flow_equal.py, whose peers take all steps of all scenarios at once: it has no states. Medians of wall and of
+processor time; the load of the machine stands beside them.
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
 
 from greygate.compiler.pipeline import compile_network
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import interpret
-from greygate.hardware.verify import Scenario, verify
+from greygate.emulator.program import Program
 from greygate.machines.catalog import entry
 
-from .shared import VERILATOR, scratch, taken
+from . import shared
+from .flow import PEERS, arrays, of_peer
+from .flow_designs import DESIGNS, PEER_INDEX, PEER_WIDTH, smallest
+from .flow_equal import for_peers
+from .flow_peers import rates
+from .made import keep
+from .shared import VERILATOR, scratch
 from .verilator_bench import measure
 
-TAKES = "minutes"
+TAKES = "five minutes"
 NEEDS = VERILATOR
+THREADS = "all"
 
-REPEATS = 7
-SLOW_STEPS = 2000  # for the interpreter
-
-
-def steps_per_second(work, steps: int, repeats: int = REPEATS) -> float:
-    """Median over `repeats` of steps per CPU second."""
-    return steps / statistics.median(taken(work, repeats, time.process_time))
+BATCHES = (1, 100, 1000)
+STEPS = 1000  # of each scenario
+SLOW_STEPS, LONG = 500, 100_000  # for the interpreter; for Verilator, seconds
 
 
-def main() -> None:
+def scenarios(codes: np.ndarray, count: int) -> np.ndarray:
+    """(count, STEPS, columns): stretches of a recording, each from another step on."""
+    starts = np.random.default_rng(0).integers(0, len(codes) - STEPS, count)
+    return np.stack([codes[start : start + STEPS] for start in starts])
+
+
+def emulated(program: Program, codes: np.ndarray) -> dict:
+    """The engine at each size of a batch, the parallel design in Verilator, and the interpreter."""
+    found = {}
+    for count in BATCHES:
+        batch = scenarios(codes, count)
+        found[f"engine, {count}"] = rates(lambda batch=batch: run(program, batch, states=False), count * STEPS)
+        few = interpret(program, batch[-2:, :SLOW_STEPS])
+        assert np.array_equal(run(program, batch, states=False).outputs[-2:, :SLOW_STEPS], few.outputs)
+    answer = run(program, codes).outputs
+    found["verilator, 1"] = {"cpu": measure(program, codes, LONG, expected=answer)["steps_per_second"]}
+    found["interpreter, 1"] = rates(lambda: interpret(program, codes[:SLOW_STEPS]), SLOW_STEPS)
+    return found
+
+
+def peers(program: Program, python: Path) -> dict:
+    """The peers with our weights and formats, on as many samples."""
+    found, sizes = {}, [count * STEPS for count in BATCHES]
+    for package in PEERS if python.exists() else ():
+        with scratch() as folder:
+            words = (package, folder, PEER_INDEX, PEER_WIDTH, "--rates", *sizes)
+            told = of_peer(python, *words, data=for_peers(program))
+        found |= {f"{package}, {count}": told[str(n)] for count, n in zip(BATCHES, sizes, strict=True)}
+    return found
+
+
+def main(*, peers_at: shared.Peers = shared.PEERS) -> None:
     chosen = entry("valve_cylinder")
     records = chosen.records()
-    program = compile_network(chosen.network(), records).program
-    codes = program.encode(records["training"].inputs)
-    answer = run(program, codes)
-    with scratch() as folder:
-        scenario = Scenario(codes, answer.outputs, answer.states)
-        checked = verify(program, folder, {"training": scenario}, seed=0)
-        assert checked.passed
-
-    found = {
-        "engine": steps_per_second(lambda: [run(program, codes, states=False) for _ in range(20)], 20 * len(codes)),
-        "verilator": statistics.median(
-            measure(program, codes, expected=answer.outputs)["steps_per_second"] for _ in range(3)
-        ),
-        "cocotb, every step checked": 2 * len(codes) / checked.run_seconds,
-        "interpreter": steps_per_second(lambda: interpret(program, codes[:SLOW_STEPS]), SLOW_STEPS, 3),
-    }
-    for name, rate in found.items():
-        print(f"{name:28} {rate:12,.0f} steps/s   engine is {found['engine'] / rate:8.1f} times as fast")
+    cylinder = compile_network(chosen.network(), records).program
+    found = {"valve_cylinder": emulated(cylinder, cylinder.encode(records["training"].inputs))}
+    flow = smallest(*DESIGNS["coarse"]).program
+    x = dict(zip(("u", "p"), arrays()["x"].T, strict=True))
+    found["flow"] = emulated(flow, flow.encode(x)) | peers(flow, peers_at)
+    keep("engine", "rates", {"steps": STEPS, "load": os.getloadavg(), **found})
+    for name, rows in found.items():
+        for row, told in rows.items():
+            print(f"{name:16} {row:16}", *(f"{kind} {rate:14,.0f} steps/s" for kind, rate in told.items()))

@@ -2,6 +2,7 @@
 
     python flow_peers.py PACKAGE DATA.npz INDEX WIDTH...    prints {"width": [RMS, seconds], ...}
     python flow_peers.py PACKAGE DATA.npz INDEX WIDTH --design    writes flow/, prints {"rms", "latency", "files"}
+    python flow_peers.py PACKAGE DATA.npz INDEX WIDTH --rates N...    prints {"N": {"wall", "cpu"}}: samples a second
 
 DATA: x (N, 2), y (N,) of float, and w1, b1, w2, b2, w3, b3 of y = w3 tanh(w2 tanh(w1 x + b1) + b2) + b3. INDEX: bits of
 the argument of a table; 0: as many as the word. WIDTH: bits of weights, inputs and results.
@@ -11,16 +12,30 @@ import importlib
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 FLAT = 3  # whole bits of an argument: beyond 8, tanh is 1 to 20 bits
+REPEATS = 5
 CUTOFF = 5  # of the peers' measure of depth, between two registers
 PACKAGES = {  # package -> (module, class of arrays), (module, function that traces)
     "da4ml": (("da4ml.trace", "FixedVariableArray"), ("da4ml.trace", "comb_trace")),
     "alkaid": (("alkaid.trace", "FVArray"), ("alkaid.trace", "trace")),
 }
+
+
+def rates(work: Callable[[], object], steps: int, repeats: int = REPEATS) -> dict[str, float]:
+    """Steps per second of wall and of processor time, medians of several calls after a first one."""
+    work()
+    found = []
+    for _ in range(repeats):
+        clocks = time.perf_counter, time.process_time
+        began = [clock() for clock in clocks]
+        work()
+        found.append([clock() - start for clock, start in zip(clocks, began, strict=True)])
+    return dict(zip(("wall", "cpu"), (steps / np.median(found, axis=0)).tolist(), strict=True))
 
 
 def rounded(weights: np.ndarray, width: int) -> np.ndarray:
@@ -64,7 +79,8 @@ def main(package: str, path: str, index: str, *widths: str) -> None:
     options = {"solver_options": {"method0": method, "method1": method}} if method else {}
     array, trace = (getattr(importlib.import_module(module), name) for module, name in PACKAGES[package])
     data, found = dict(np.load(path)), {}
-    for width in map(int, (w for w in widths if w != "--design")):
+    option = next((n for n, word in enumerate(widths) if word.startswith("--")), len(widths))
+    for width in map(int, widths[:option]):
         wide, fine = map(int, data["fixes"][0]) if "fixes" in data else (width, width - 1)
         start, lsb, end = time.monotonic(), 2.0**-fine, 2.0 ** (wide - 1 - fine)
         logic = network(array, trace, data, width, int(index) or width, options)
@@ -79,6 +95,9 @@ def main(package: str, path: str, index: str, *widths: str) -> None:
         clocks = design.latency if package == "alkaid" else len(design._pipe.solutions)
         files = sorted(str(f) for f in Path("flow/src").rglob("*.v") if "wrapper" not in f.name)
         found = {"rms": found[width][0], "latency": int(clocks), "files": files}
+    if "--rates" in widths:
+        sizes = [int(word) for word in widths[option + 1 :]]
+        found = {n: rates(lambda n=n: logic.predict(np.resize(x, (n, x.shape[1]))), n) for n in sizes}
     print(json.dumps(found))
 
 

@@ -23,6 +23,7 @@ GROUND = (  # modules of greygate/ on which all stands
     "caches",
     "children",
     "contents",
+    "cores",
     "errors",
     "files",
     "foreign",

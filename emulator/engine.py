@@ -1,5 +1,7 @@
 """The fast engine: it gives the interpreter's answer, bit for bit, by one numba kernel for programs as arrays.
 
+Many scenarios run in the lanes of the vector units (lanes.py); few, or those of a wide program, one after another here.
+
 Sums of products run in float64 if the program proves that an accumulator stays below 2^53. Every partial sum is then an
 integer that float64 holds exactly, in any order, and the processor has vector units for float64. Wider accumulators
 run in int64. No other value is a float.
@@ -12,6 +14,7 @@ from weakref import WeakKeyDictionary
 import numba
 import numpy as np
 
+from greygate.emulator import lanes
 from greygate.emulator.interpreter import Run
 from greygate.emulator.numbers import ACCUMULATOR_BITS, Overflow, Rounding
 from greygate.emulator.program import Affine, Clamp, Lookup, Op, Product, Program, Select, Threshold
@@ -24,6 +27,7 @@ COLUMNS = 13  # kind, first element of the result, its size, and the numbers tha
 ZERO, ONE, TWO, THREE, FOUR = (np.uint64(n) for n in range(5))
 _ROUNDING = list(Rounding)
 _ARRAYS: "WeakKeyDictionary[Program, _Arrays]" = WeakKeyDictionary()
+_LANES: "WeakKeyDictionary[Program, lanes.Lanes | None]" = WeakKeyDictionary()
 
 
 class _Arrays(NamedTuple):
@@ -332,6 +336,12 @@ def _run(
                     states[sequence, k, m] = np.int64(gathered[m])
 
 
+def _kept(kept: WeakKeyDictionary, program: Program, make: Callable):
+    if program not in kept:
+        kept[program] = make(program)
+    return kept[program]
+
+
 def run(
     program: Program, inputs: np.ndarray, initial: np.ndarray | None = None, trace: bool = False, states: bool = True
 ) -> Run:
@@ -339,25 +349,25 @@ def run(
 
     states=False omits the states from the answer (an empty array), for speed.
     """
-    arrays = _ARRAYS.get(program)
-    if arrays is None:
-        arrays = _ARRAYS[program] = _tabulate(program)
-    inputs = np.ascontiguousarray(inputs, np.int64)
+    inputs = np.require(inputs, np.int64, ["C", "W"])  # always the same kind of array: numba compiles for each kind
     batch, (steps, columns) = inputs.shape[:-2], inputs.shape[-2:]
     flat = inputs.reshape(-1, steps, columns)
-    count = len(arrays.moves)
     declared = np.array([v for s in program.states for v in s.initial], np.int64)
-    start = np.broadcast_to(declared if initial is None else initial, (*batch, count)).reshape(len(flat), count)
-    outputs = np.empty((len(flat), steps, len(arrays.outputs)), np.int64)
-    after = np.empty((len(flat), steps if states else 0, count), np.int64)
-    traced = np.empty((len(flat), steps if trace else 0, arrays.elements), np.int64)
+    start = np.broadcast_to(declared if initial is None else initial, (*batch, len(declared)))
+    start = np.array(start, np.int64).reshape(len(flat), len(declared))
+    sizes = [s.size for s in program.signals.values()]
+    outputs = np.empty((len(flat), steps, sum(p.signal.size for p in program.outputs)), np.int64)
+    after = np.empty((len(flat), steps if states else 0, len(declared)), np.int64)
+    traced = np.empty((len(flat), steps if trace else 0, sum(sizes)), np.int64)
     events = np.zeros(len(program.operations), np.int64)
-    _run(*arrays, flat, np.ascontiguousarray(start, np.int64), outputs, after, events, traced)
+    beside = _kept(_LANES, program, lanes.tabulate) if len(flat) >= lanes.ENOUGH else None
+    run, arrays = (lanes.run, beside) if beside else (_run, _kept(_ARRAYS, program, _tabulate))
+    run(*arrays, flat, start, outputs, after, events, traced)
     saturations = {o.out.name: int(n) for o, n in zip(program.operations, events, strict=True) if o.requantizes}
     everything = None
     if trace:
-        ends = np.cumsum([s.size for s in program.signals.values()])[:-1]
-        parts = np.split(traced.reshape(*batch, steps, arrays.elements), ends, axis=-1)
+        parts = np.split(traced.reshape(*batch, steps, -1), np.cumsum(sizes)[:-1], axis=-1)
         everything = dict(zip(program.signals, parts, strict=True))
-    after = after.reshape(*batch, after.shape[1], count)
-    return Run(outputs.reshape(*batch, steps, len(arrays.outputs)), after, saturations, everything)
+    return Run(
+        outputs.reshape(*batch, *outputs.shape[1:]), after.reshape(*batch, *after.shape[1:]), saturations, everything
+    )

@@ -9,7 +9,8 @@ from itertools import chain
 from time import perf_counter
 from typing import Generic, ParamSpec, TypeVar
 
-from greygate.models.cores import blas, usable_cores
+from greygate.cores import usable_cores
+from greygate.models.cores import blas
 from greygate.progress import OutOfTime, one_of, spend
 
 FEW = 3  # items: fewer are done one after the other

@@ -11,8 +11,8 @@ from joblib import Parallel, delayed
 from networks import random_inputs, random_network
 from test_network import SMOOTH, delay_line
 
+from greygate.cores import usable_cores
 from greygate.errors import InputError
-from greygate.models.cores import usable_cores
 from greygate.models.families.blocks import feedforward, flow_rate, flow_record
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port

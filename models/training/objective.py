@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from greygate.cores import usable_cores
 from greygate.errors import InputError
 from greygate.models.arithmetic import gram
-from greygate.models.cores import usable_cores
 from greygate.models.network import Network
 from greygate.models.training.kernels import Tables, forward, portable_sensitivities, sensitivities, tabulate
 from greygate.models.training.record import Record, check_skips
