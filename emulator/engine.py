@@ -361,8 +361,8 @@ def run(
     traced = np.empty((len(flat), steps if trace else 0, sum(sizes)), np.int64)
     events = np.zeros(len(program.operations), np.int64)
     beside = _kept(_LANES, program, lanes.tabulate) if len(flat) >= lanes.ENOUGH else None
-    run, arrays = (lanes.run, beside) if beside else (_run, _kept(_ARRAYS, program, _tabulate))
-    run(*arrays, flat, start, outputs, after, events, traced)
+    kernel: Callable[..., None] = lanes.run if beside else _run
+    kernel(*(beside or _kept(_ARRAYS, program, _tabulate)), flat, start, outputs, after, events, traced)
     saturations = {o.out.name: int(n) for o, n in zip(program.operations, events, strict=True) if o.requantizes}
     everything = None
     if trace:

@@ -102,7 +102,7 @@ class _Tabulator:
         if isinstance(t, Table) and not t.interpolated:
             self.words += [complex(p) for p in t.points]
             self.octaves.append((0, 0, 2.0**-t.shift, 0, 0, len(t.points), len(t.points) - 1))
-            inverts, before, line = 0, (1 << t.shift) >> 1, (1, 0, 1, 0)
+            inverts, before, line = 0, (1 << t.shift) >> 1, (1.0, 0, 1.0, 0)
         else:
             s = t.segments
             self.words += [complex(*word) for word in zip(s.bases, s.slopes, strict=True)]
@@ -395,13 +395,14 @@ def _run(
 def run(*arrays: np.ndarray) -> None:
     """What `engine._run` does, of `Lanes` in place of its arrays: the scenarios are shared among the cores."""
     *program, inputs, initial, outputs, states, saturations, trace = arrays
+    kernel: Callable[..., None] = _run
     blocks = -(-len(inputs) // LANES)
     shares = np.array_split(np.arange(blocks), min(blocks, usable_cores()))
 
     def work(share: np.ndarray) -> np.ndarray:
         part = slice(share[0] * LANES, (share[-1] + 1) * LANES)
         events = np.zeros_like(saturations)
-        _run(*program, inputs[part], initial[:, None][part], outputs[part], states[part], events, trace[part])
+        kernel(*program, inputs[part], initial[:, None][part], outputs[part], states[part], events, trace[part])
         return events
 
     with ThreadPoolExecutor(len(shares)) as pool:
