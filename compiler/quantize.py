@@ -34,9 +34,12 @@ from greygate.emulator.program import (
 )
 from greygate.emulator.tables import Lines, Table
 from greygate.errors import InputError
+from greygate.models.activations import ACTIVATIONS
 from greygate.models.arithmetic import product
 from greygate.models.network import Layer, Network
 
+FINER = 6  # bits that a root's argument and answer have beyond the word: it halves the octaves of what it is taken of
+LEAST_CODES = 8  # that the least number under a root must be: rounding changes it by a sixteenth
 EXACT = 8  # fraction bits up to which a weight counts as exact
 GUARD = 3  # bits by which a product may be finer than its sum
 BETWEEN = 65  # angles at which a loop's gain is asked for, beside those of its poles, where sharp ones are
@@ -206,12 +209,15 @@ class _Quantizer:
         layer, width = self.layers[name], self.formats.width
         f = layer.function
         if f.lowered == Op.TABLE:
-            holds = output_fix(width + self.formats.finer) if f.is_bounded else self._unbounded_fix(name)
+            if f.steep:
+                holds = self.fix(name, width + self._octaves(name))
+            else:
+                holds = output_fix(width + self.formats.finer) if f.is_bounded else self._unbounded_fix(name)
             fix = self.formats.signals.get(name, holds)
         elif f.lowered == Op.THRESHOLD:
             fix = Fix(2, 0)
         elif f.lowered in (Op.CLAMP, Op.PRODUCT):
-            fix = self.fix(name, width)
+            fix = self.fix(name, width + (FINER if self._under_root(name) else 0))
         else:
             fix = self.fix(name, width)
             exact = self._exact_frac(name)
@@ -226,6 +232,19 @@ class _Quantizer:
                     f"bits keep the accumulated rounding under half an LSB of {width} bits"
                 )
         self.signals[name] = Signal(name, layer.size, fix)
+
+    def _octaves(self, name: str) -> int:
+        """Bits more for a steep function, whose least answer is to have as many as others; at most FINER."""
+        r = self.ranges[name]
+        return min(FINER, max(0, integer_bits(r.magnitude) - integer_bits(r.low)))
+
+    def _under_root(self, name: str) -> bool:
+        """Whether a product is part of what a steep function is taken of, which must not be rounded to 0."""
+        return any(
+            source == name and self.layers[target.partition(".")[0]].function.steep
+            for target, (source, _) in self.feeds.items()
+            if "." in target
+        )
 
     def _exact_frac(self, name: str) -> int | None:
         """Fraction bits that hold a sum of earlier signals with short weights (a difference) exactly; else inf."""
@@ -299,7 +318,7 @@ class _Quantizer:
         for port, w in layer.weights.items():
             source, delay = self.feeds[f"{name}.{port}"]
             signal = self._delayed(source, delay)
-            unrounded = source == name or lowered == Op.AFFINE or sign_test
+            unrounded = source == name or lowered == Op.AFFINE or sign_test or layer.function.steep
             reads.append((signal if unrounded else self._narrow(signal), w))
         if lowered == Op.AFFINE:
             gain = min(loop_gain(self._loops(name)), self.formats.horizon)
@@ -314,7 +333,10 @@ class _Quantizer:
             fix = self.formats.signals.get(pre, Fix(frac + reach + 1, frac))
             signal = Signal(pre, layer.size, fix)
             self._affine(signal, layer.bias, reads)
-            table = make_table(layer.activation, fix, out.fix, f.table_budget, f.interpolated, f.tables)
+            if layer.function.steep and self.ranges[pre].low < LEAST_CODES * fix.lsb:
+                raise InputError(self._too_wide(pre, fix))
+            form = Form.OCTAVES if layer.function.steep else f.tables
+            table = make_table(layer.activation, fix, out.fix, f.table_budget, f.interpolated, form)
             key = (table.function, table.arg, table.out)
             self.tables.setdefault(key, table)
             self.operations.append(Lookup(out, pre, table.name))
@@ -368,10 +390,14 @@ class _Quantizer:
         name = part.rpartition(".")[0]
         plain, layer = self._plain(name, rows), self.layers[name]
         if plain is not None and plain[2:] == (1.0, 0.0):
-            return self._narrow(self._delayed(*plain[:2]))
+            signal = self._delayed(*plain[:2])
+            return signal if self._steep(plain[0]) else self._narrow(signal)
         signal = Signal(part, layer.size, self.formats.signals.get(part, self.fix(part, self.formats.width)))
         self._affine(signal, layer.bias[rows], self._summed(name, rows))
         return signal
+
+    def _steep(self, source: str) -> bool:
+        return source in self.layers and self.layers[source].function.steep
 
     def _part(self, part: str, rows: slice, slope: np.ndarray | None, above: Signal | None) -> Signal:
         """A sum of a multiplexer. slope: by which it is the sum above, whose sign serves as a condition."""
@@ -453,10 +479,20 @@ class _Quantizer:
         word, flat = self.formats.width, integer_bits(flat_from(function, out))
 
         def frac(layer: str) -> int:
-            return word - 1 - min(self.fix_bits(f"{layer}.n"), flat) + self.formats.wide
+            finer = FINER if ACTIVATIONS[function].steep else 0
+            return word - 1 - min(self.fix_bits(f"{layer}.n"), flat) + self.formats.wide + finer
 
         alike = [n for n, layer in self.layers.items() if layer.activation == function and frac(n) == frac(name)]
         return frac(name), max(self.fix_bits(f"{n}.n") for n in alike)
+
+    def _too_wide(self, pre: str, fix: Fix) -> str:
+        """Why a number by which a signal is divided has no codes."""
+        r = self.ranges[pre]
+        return (
+            f"signal {pre}: a signal is divided by its root, and it goes from {r.low:.2g} to {r.high:.2g}; {fix.width} "
+            f"bits hold {fix.width - integer_bits(LEAST_CODES)} octaves. Raise the epsilon of that norm and train with "
+            "it, give more bits, or leave steps out at which its inputs are all alike"
+        )
 
     def _unbounded_fix(self, name: str) -> Fix:
         """A format that ends at a power of four, so that a square reaches the end at a point of its table."""

@@ -95,7 +95,7 @@ def _lines(function: str, arg: Fix, out: Fix, budget: float, form: Form, reach: 
 
 
 def _worst_of_all(table: Table | Lines, reach: int, avoidable: bool = False) -> float:
-    both = isinstance(table, Lines)
+    both = isinstance(table, Lines) and not ACTIVATIONS[table.function].steep  # which is of positive sums
     return max(_worst(table, codes, avoidable) for codes in _every(reach, table.arg, both))
 
 

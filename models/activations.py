@@ -15,7 +15,7 @@ class Activation:
 
     value: f of (xp, n). slope: dy/dn of (xp, y); or of (xp, y, n) where y does not tell it, and n must be summed again.
     xp is numpy, torch, `models.arithmetic.xp` or, in compiled kernels, `models.scalars`; torch finds slopes by itself.
-    So f may use arithmetic, abs, and of xp what all of them have: exp, tanh, clip, where, ones_like and zeros_like.
+    So f may use arithmetic, abs, and of xp what all of them have: exp, tanh, sqrt, clip, where, ones_like, zeros_like.
     image: least and greatest y. A function without symmetry, or with an odd one, rises monotonically; an even function
     is monotone on either side of zero.
     lowered: the operation that computes it in the integer program (docs/integer-program.md). A threshold answers with
@@ -23,7 +23,7 @@ class Activation:
     symmetry: how a table answers negative n from its half for n >= 0; complement is f(-n) = 1 - f(n).
     flat_from: where a table may end, of (decades, most): the n beyond which f is within exp(-decades) of its limit, or
     above `most`.
-    rows: sums that one neuron forms.
+    rows: sums that one neuron forms. steep: without bound towards n = 0, from where the segments of its table grow.
     """
 
     value: Callable[[Any, Any], Any]
@@ -33,6 +33,7 @@ class Activation:
     symmetry: Literal["odd", "even", "complement"] | None = None
     flat_from: Callable[[float, float], float] | None = None
     rows: int = 1
+    steep: bool = False
 
     def __post_init__(self) -> None:
         if self.lowered == "table" and not (self.symmetry and self.flat_from):
@@ -101,6 +102,8 @@ def _normal(xp, n):
     tail = 0.5 * t * xp.exp(_ERFC_0 + 0.5 * y * d - before - z * z)
     return xp.where(n >= 0, 1.0 - tail, tail)
 
+
+_LEAST = 1e-90  # of what a root is taken: the third power of its answer, in a slope, is still a float
 
 ACTIVATIONS: dict[str, Activation] = {
     "tansig": Activation(
@@ -204,6 +207,15 @@ ACTIVATIONS: dict[str, Activation] = {
         lowered="table",
         symmetry="complement",
         flat_from=lambda decades, most: math.sqrt(2 * decades),
+    ),
+    "rsqrt": Activation(  # of a positive sum
+        value=lambda xp, n: 1.0 / xp.sqrt(xp.clip(abs(n), _LEAST, 1.0 / _LEAST)),
+        slope=lambda xp, y, n: -0.5 * xp.sign(n) * y * y * y,
+        image=(0.0, math.inf),
+        lowered="table",
+        symmetry="even",
+        flat_from=lambda decades, most: math.exp(2.0 * decades),
+        steep=True,
     ),
 }
 

@@ -31,7 +31,9 @@ def tanh(n: np.ndarray) -> np.ndarray:
         return _tanh(n)
 
 
-xp = SimpleNamespace(exp=exp, tanh=tanh, where=np.where, clip=np.clip, ones_like=np.ones_like, zeros_like=np.zeros_like)
+xp = SimpleNamespace(
+    exp=exp, tanh=tanh, sqrt=np.sqrt, where=np.where, clip=np.clip, ones_like=np.ones_like, zeros_like=np.zeros_like
+)
 """The namespace that activations take (`models.activations`)."""
 
 

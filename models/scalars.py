@@ -40,6 +40,11 @@ def tanh(n):  # pragma: no cover - compiled
 
 
 @inlined
+def sqrt(n):  # pragma: no cover - compiled
+    return math.sqrt(n)
+
+
+@inlined
 def sign(n):  # pragma: no cover - compiled
     return np.sign(n)
 

@@ -88,7 +88,7 @@ def test_a_table_may_end_where_its_function_is_flat_or_too_large(name):
         limit = a.value(np, np.array(1e300)) if a.symmetry != "even" else 0.0
         assert (np.abs(y - limit) <= 1.001 * math.exp(-decades)).all()
     else:
-        assert (y >= most).all()
+        assert (y >= most).all() or (y <= 1.001 * math.exp(-decades)).all()
 
 
 def test_a_kind_that_no_entry_has_is_an_error():

@@ -237,3 +237,15 @@ def test_what_a_format_cannot_express_is_refused_with_what_to_do(why, tmp_path):
     path = m.saved(tmp_path / "model.onnx", REFUSED[why](m), outputs=3)
     with pytest.raises(InputError, match=why):
         declared_program(load_quantized(path))
+
+
+@pytest.mark.parametrize("kind", ["Softmax", "LogSoftmax"])
+def test_a_softmax_at_the_end_of_a_quantized_classifier_is_left_out_with_a_word(kind, tmp_path, capfd):
+    m = Model()
+    logits = rectified(m)
+    file = m.saved(tmp_path / "m.onnx", m.node(kind, logits))
+    x = m.rng.normal(size=(N, 3)).astype(np.float32)
+    program = declared_program(load_quantized(file))
+    codes = run(program, program.encode({p.name: x[:, k] for k, p in enumerate(program.inputs)})).outputs
+    assert (codes.argmax(1) == executed(file, x).argmax(1)).all()
+    assert f"{kind} at the end is left out" in capfd.readouterr().err

@@ -12,6 +12,7 @@ import numpy as np
 from greygate.errors import one_line
 from greygate.models.accuracy import float_error
 from greygate.models.importers.onnx_file import read
+from greygate.models.importers.onnx_graph import opened
 from greygate.models.importers.onnx_reference import CHECKED, Imported, Reference, answer, arranged, lengths
 from greygate.models.training.record import Record
 from greygate.plain import Count, Figure
@@ -78,10 +79,12 @@ def _program(made: Imported, path: Path, axis: int | None) -> tuple[str, Run]:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    model = str(path) if axis is None else _freed(path, made, axis)
+    names = [*(t.name for t in made.outputs), *(after for _, _, after in made.states.values())]
+    shown = {o.name for o in read(path).graph.output}
+    model = _freed(path, made, axis) if axis is not None or not shown.issuperset(names) else str(path)
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     kinds = {i.name: np.float64 if "double" in i.type else np.float32 for i in session.get_inputs()}
-    names = [o.name for o in session.get_outputs()]
+    names = list(dict.fromkeys(names))
 
     def run(feeds: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
         found = session.run(names, {n: v.astype(kinds[n]) for n, v in feeds.items()})
@@ -90,11 +93,11 @@ def _program(made: Imported, path: Path, axis: int | None) -> tuple[str, Run]:
     return f"onnxruntime {version('onnxruntime')}", run
 
 
-def _freed(path: Path, made: Imported, axis: int) -> bytes:
-    """The model with that axis of its inputs of any length."""
-    model, names = read(path), {t.name for t in made.inputs}
+def _freed(path: Path, made: Imported, axis: int | None) -> bytes:
+    """The model of what is shown, with that axis of its inputs of any length."""
+    model, names = opened(path), {t.name for t in made.inputs}
     for tensor in model.graph.input:
-        if tensor.name in names:
+        if tensor.name in names and axis is not None:
             tensor.type.tensor_type.shape.dim[axis].dim_param = "steps"
     for tensor in model.graph.output:
         tensor.type.tensor_type.ClearField("shape")

@@ -8,18 +8,21 @@ before a tanh is one layer, with the weights of all of them.
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from greygate.errors import InputError, shown
+from greygate.models.activations import ACTIVATIONS
 from greygate.models.network import Layer, Network, Port
 from greygate.names import LONGEST_NAME, check_name, check_path, check_unit
 
 Number = float | np.ndarray
+SAME = 1e-12  # of the largest number of a row: what scalings on the way leave of equality
 WIDE = 1 << 20  # of limits: scaled to 0 and 1, a value between them would lose more than 20 of its 53 bits
+POSITIVE = {"logsig", "negexp", "normal", "rsqrt", "softfall"}  # never 0, however small
+SMALL = 1e-75  # below what these are, so that the product of four is still a float
 MOST = 1 << 22  # weights of one value: a matrix of 2,048 by 2,048
 _NAMED = re.compile(r"\s*(\S+?)\s*(?:\[([^\]]*)\])?\s*")  # of a port, with its unit
 Signal = tuple[str, int]
@@ -167,6 +170,9 @@ class Builder:
             raise InputError(f"network {name}: has no {'input' if self.outputs else 'output'}; name one")
         self.network = Network(name, self.inputs, self.outputs)
         self._initial: dict[str, np.ndarray] = {}
+        self._made: dict[str, tuple[Value, str]] = {}  # a layer -> the sum that it reads, its activation
+        self._ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._roots: dict[str, Value] = {}  # a layer that is a square root -> what 1 by it is
 
     def input(self, ports: Sequence[Port], shape: Sequence[int]) -> Value:
         """The ports of an input tensor, in their units, side by side."""
@@ -230,26 +236,96 @@ class Builder:
 
     def largest(self, value: Value, axes: Sequence[int], keep: bool, hint: str) -> Value:
         """The maximum along some axes, along all if none is named. keep: they stay, with one element."""
-        return self._along(value, axes, keep, lambda a, b: self.maximum(a, b, hint))
+        return self.along(value, axes, keep, lambda a, b: self.maximum(a, b, hint))
 
     def multiplied(self, value: Value, axes: Sequence[int], keep: bool, hint: str) -> Value:
         """The product along some axes, as `largest`."""
-        return self._along(value, axes, keep, lambda a, b: self.product(a, b, hint))
+        return self.along(value, axes, keep, lambda a, b: self.product(a, b, hint))
 
     def equal(self, a: Value, b: Value, hint: str) -> Value:
         """1 where both are the same, else 0."""
         return self.at_least(a, b, hint).plus(self.at_least(b, a, hint)).plus(constant(-1.0))
 
     @staticmethod
-    def _along(value: Value, axes: Sequence[int], keep: bool, how: Callable[[Value, Value], Value]) -> Value:
+    def along(value: Value, axes: Sequence[int], keep: bool, how: Callable[[Value, Value], Value]) -> Value:
+        """What `how` makes of two, of all along some axes, in a tree; as `largest`."""
         count = len(value.shape)
         chosen = sorted({a % count for a in axes}) if axes else list(range(count))
         rest = [k for k in range(count) if k not in chosen]
         size = int(np.prod([value.shape[k] for k in chosen]))
-        flat = value.moved(lambda i: i.transpose(*rest, *chosen).reshape(-1, size))
-        found = reduce(how, (taken(flat, k, 1) for k in range(size)))
+        found = value.moved(lambda i: i.transpose(*rest, *chosen).reshape(-1, size))
+        while found.shape[1] > 1:
+            half = found.shape[1] // 2
+            one, other, odd = found.parts([half, half, found.shape[1]], 1)
+            found = joined([how(one, other), odd], 1) if odd.size else how(one, other)
         shape = [1 if k in chosen else n for k, n in enumerate(value.shape) if keep or k not in chosen]
         return found.moved(lambda i: i.reshape(shape))
+
+    def ends(self, value: Value) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of each element, whatever enters; they may be infinite."""
+        for name, (read, activation) in self._made.items():
+            if name not in self._ends:
+                self._ends[name] = self._image(read, activation)
+        return self._sum_ends(value)
+
+    def _sum_ends(self, value: Value) -> tuple[np.ndarray, np.ndarray]:
+        low, high = value.bias, value.bias
+        for (name, _), w in value.weights.items():
+            a, b = self._ends.get(name, (np.full(w.shape[1], -np.inf), np.full(w.shape[1], np.inf)))
+            low = low + (_times(np.maximum(w, 0), a) + _times(np.minimum(w, 0), b)).sum(1)
+            high = high + (_times(np.maximum(w, 0), b) + _times(np.minimum(w, 0), a)).sum(1)
+        return low, high
+
+    def _image(self, read: Value, activation: str) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of a layer: those of its activation, or of the sums that it reads."""
+        rows = ACTIVATIONS[activation].rows
+        parts = read.parts([read.size // rows] * rows, 0)
+        if activation == "linear":
+            return self._sum_ends(read)
+        if rows == 1:
+            least, most = ACTIVATIONS[activation].image
+            least = SMALL if least == 0 and activation in POSITIVE else least
+            return np.full(read.size, least), np.full(read.size, most)
+        ends = [self._sum_ends(part) for part in parts]
+        if activation == "product":
+            corners = [_times(one, other) for one in ends[0] for other in ends[1]]
+            low, high = np.min(corners, 0), np.max(corners, 0)
+            factor = _multiple(*parts)  # of a square
+            return np.where(factor > 0, np.maximum(low, 0), low), np.where(factor < 0, np.minimum(high, 0), high)
+        (_, (above, top), (below, bottom)), (condition, one, other) = ends, parts
+        beyond = other.plus(one.times(-1.0))  # where the condition rises with what is above less below, it is a maximum
+        rising = _multiple(condition, one) > 0, _multiple(condition, other) < 0
+        largest = _multiple(condition, beyond) < 0
+        above = np.where(rising[0], np.maximum(above, 0), above)
+        below = np.where(rising[1], np.maximum(below, 0), below)
+        low = np.where(largest, np.maximum(above, below), np.minimum(above, below))
+        return low, np.maximum(top, bottom)
+
+    def root(self, value: Value, hint: str) -> Value:
+        """The square root of what is never negative."""
+        low, high = (np.sqrt(end) for end in self.ends(value))
+        inverse = self.activated(value, "rsqrt", hint)
+        found = self.product(value, inverse, hint)
+        ((name, _),) = found.weights
+        self._ends[name], self._roots[name] = (low, high), inverse
+        return found
+
+    def positive(self, value: Value) -> Value:
+        """A layer of which it is known that it is never 0 or below."""
+        ((name, _),) = value.weights
+        self._ends[name] = np.full(value.size, SMALL), np.full(value.size, np.inf)
+        return value
+
+    def inverse_of_root(self, value: Value) -> Value | None:
+        """1 by a value whose elements are multiples of one square root, which is there already; else None."""
+        if len(value.weights) != 1 or value.bias.any():
+            return None
+        (((name, delay), w),) = value.weights.items()
+        if name not in self._roots or delay or ((w != 0).sum(1) != 1).any():
+            return None
+        at = np.argmax(w != 0, 1)
+        factor = w[np.arange(len(w)), at].reshape(value.shape)
+        return self._roots[name].moved(np.ravel).rows(at.reshape(value.shape)).times(1 / factor)
 
     def named(self, name: str, value: Value, activation: str) -> None:
         """A layer of that name, which others may have read before it was there."""
@@ -302,25 +378,22 @@ class Builder:
             total = wide if total is None else total.plus(wide)
         return constant(0.0) if total is None else total
 
-    def power(self, value: Value, exponent: float, hint: str = "power") -> Value:
-        """Raised to 0, 1, 2, 3 or 4. Raises InputError for another exponent."""
-        if exponent not in (0, 1, 2, 3, 4):
-            raise InputError(f"the power {exponent:g}; 2, 3 and 4 can be carried")
-        if exponent < 2:
-            return value if exponent else constant(np.ones(value.shape))
-        square = self.activated(value, "square", hint)
-        if exponent == 3:
-            return self.product(value, square, hint)
-        return square if exponent == 2 else self.activated(square, "square", hint)
+    def matmul(self, a: Value, b: Value, hint: str) -> Value:
+        """As NumPy's; of two signals a sum of products."""
+        if a.constant is not None or b.constant is not None:
+            return matmul(a, b)
+        one = a.moved(lambda i: i[..., None])  # (..., n, k, 1)
+        other = b.moved(lambda i: i[:, None] if i.ndim == 1 else i[..., None, :, :])  # (..., 1, k, m)
+        found = self.product(one, other, hint).summed([-2])
+        return found.moved(lambda i: i[..., 0]) if len(b.shape) == 1 else found
 
-    def powers(self, value: Value, exponents: np.ndarray, hint: str = "power") -> Value:
-        """Every element to its own exponent, with NumPy's broadcasting."""
-        shape = np.broadcast_shapes(value.shape, exponents.shape)
-        wide = value.moved(lambda i: np.broadcast_to(i, shape).ravel())
-        each = np.broadcast_to(exponents, shape).ravel()
-        places = [np.flatnonzero(each == k) for k in np.unique(each)]
-        parts = [self.power(wide.rows(at), float(each[at[0]]), hint) for at in places]
-        return joined(parts, 0).rows(np.argsort(np.concatenate(places)).reshape(shape))
+    def power(self, value: Value, exponent: int, hint: str = "power") -> Value:
+        """Multiplied by itself so many times, 0 or more."""
+        if exponent == 0:
+            return constant(np.ones(value.shape))
+        half = self.power(value, exponent // 2, hint) if exponent > 1 else value
+        even = self.product(half, half, hint) if exponent > 1 else value
+        return self.product(value, even, hint) if exponent > 1 and exponent % 2 else even
 
     # -- recurrent cells ---------------------------------------------------------------------------------------------
 
@@ -428,6 +501,8 @@ class Builder:
             signal: re.sub(r"\W", "_", f"{signal[0]}_z{signal[1]}" if signal[1] else signal[0]) for signal in weights
         }
         layer = Layer({ports[s]: w for s, w in weights.items()}, bias, activation, initial)
+        if name not in self._initial:
+            self._made[name] = Value((len(bias),), bias, weights), activation
         self.network.modules[name] = layer
         for (source, delay), inner in ports.items():
             self.network.connect(source, f"{name}.{inner}", delay)
@@ -443,13 +518,29 @@ class Builder:
         return name
 
 
+def _times(w: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """w * bound, and 0 where w is 0 even if the bound is infinite."""
+    with np.errstate(invalid="ignore"):
+        return np.where((w == 0) | (bound == 0), 0.0, w * bound)
+
+
+def _multiple(one: Value, other: Value) -> np.ndarray:
+    """The number of each element by which `one` is `other`; 0 where it is no multiple."""
+    both = joined([v.moved(np.ravel) for v in (one, other)], 0)
+    a, b = np.split(np.hstack([both.bias[:, None], *both.weights.values()]), 2)
+    power = (b * b).sum(1)
+    factor = (a * b).sum(1) / np.where(power, power, 1.0)
+    same = np.abs(a - factor[:, None] * b).max(1) <= SAME * np.abs(a).max(1)
+    return np.where(same, factor, 0.0)
+
+
 def _part(value: Value, k: int, n: int) -> Value:
     """The k-th n elements of the last axis."""
     return value.moved(lambda i: i[..., k * n : (k + 1) * n])
 
 
-def matmul(a: Value, b: Value) -> Value | None:
-    """As NumPy's, where one of them is constant; None where none is."""
+def matmul(a: Value, b: Value) -> Value:
+    """As NumPy's, where one of them is constant."""
     for matrix in (a.constant, b.constant):
         if matrix is not None and matrix.size > int(np.prod(matrix.shape[-2:])):
             raise InputError(
@@ -459,8 +550,8 @@ def matmul(a: Value, b: Value) -> Value | None:
         matrix = matrix.reshape(matrix.shape[-2:])
         out = a.linear(np.atleast_2d(matrix.T))
         return out if matrix.ndim > 1 else out.moved(lambda i: i[..., 0])
-    if (matrix := a.constant) is None:
-        return None
+    matrix = a.constant
+    assert matrix is not None, "one of them is constant"
     if len(b.shape) == 1:
         return b.linear(np.atleast_2d(matrix))
     turned = b.moved(lambda i: np.swapaxes(i, -1, -2))

@@ -97,17 +97,13 @@ CURVES: dict[str, Callable[..., Value]] = {
 """By their names in ONNX."""
 
 INSTEAD = {  # operation -> what to write, or to give, in its place
-    ("softmax", "logsoftmax", "logsumexp", "reducelogsumexp"): "a sigmoid for each, as their sum divides every one",
-    ("layernorm", "layernormalization", "groupnorm", "rmsnorm", "rmsnormalization", "instancenormalization",
-     "nativelayernorm", "unitnormalization", "lpnormalization", "normalizer"):
-        "BatchNorm1d, whose mean and spread are fixed behind training",
-    ("exp", "expm1"): "elu(x) + 1 below 0, or softplus, and train with that",
-    ("log", "log1p", "sqrt", "rsqrt", "reciprocal", "atan", "asin", "acos", "atan2", "hypot", "cdist"):
-        "a layer of tanh that learns it over the range of the recording, or give its result as an input",
+    ("log", "log1p", "log2", "log10", "atan", "asin", "acos", "atan2", "hypot", "cdist"):
+        "log_softmax, logsumexp or softplus if it is part of one; else a layer of tanh that learns it over the range "
+        "of the recording, or give its result as an input",
     ("sin", "cos", "tan"): "a sine and a cosine that the host gives as inputs, as an angle grows without bound",
     ("round", "floor", "ceil"): "what it rounds, or where with a limit for each step",
     ("sort", "topk", "argmax", "argmin"): "maximum and minimum of pairs",
-    ("scaleddotproductattention", "multiheadattention", "attention"): "a recurrent layer or a window with Conv1d",
+    ("multiheadattention", "attention"): "softmax(q k^T) v out, with MatMul and Softmax",
     ("treeensembleregressor", "svmregressor"): "an MLPRegressor that is trained on its answers",
 }  # fmt: skip
 

@@ -6,7 +6,7 @@ GRU, LSTM and Scan goes on from step to step. What comes out is compared with ON
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import reduce
+from functools import partial, reduce
 from math import prod
 from pathlib import Path
 from types import MappingProxyType
@@ -15,10 +15,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from greygate.errors import InputError, one_line, shown
-from greygate.models.importers import onnx_space
-from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken, titled
+from greygate.models.importers import norms, onnx_space
+from greygate.models.importers.builder import Builder, Value, constant, joined, taken, titled
 from greygate.models.importers.curves import CURVES, instead, softplus
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, STANDARD, array, first, ports_of, read, shape
+from greygate.models.importers.onnx_outputs import ML, needed
 from greygate.models.importers.onnx_recurrent import GATES, recurrent, scan
 from greygate.models.importers.onnx_reference import (
     AFFINE,
@@ -42,6 +43,7 @@ ALONG = {"Conv", "AveragePool", "MaxPool", "GlobalAveragePool", "GlobalMaxPool"}
 STAYING = {"Add", "BatchNormalization", "Cast", "Div", "Identity", "Mul", "Pad", "Relu", "Sub", "Tanh"}  # of axes
 SEQUENCE = 3  # axes of what these take along time: batch, channels, time
 PORTS = 4096  # numbers of an input, an output or a state in one step
+NOTHING = 1e-12  # a length that is as good as 0
 NUMBERS = 8 * ELEMENTS  # weights that all results together may have, each of every signal that it is a sum of
 
 
@@ -82,7 +84,7 @@ def imported(
 
     A fixed number of samples is a batch or, where the model mixes them, a window: that of this step and those before.
     """
-    model = read(Path(path))
+    model = opened(path)
     if _quantizes(model):
         return _built(model, path, Declaring, inputs, outputs, state, initial, name)[1]
     windows = {} if state else _windows(model, path)
@@ -96,6 +98,12 @@ def imported(
     for n, axis in windows.items():
         once(f"{path}: input {shown(n)} is a window along its axis {axis}: the sample of this step and those before")
     return made
+
+
+def opened(path: Path | str) -> Any:
+    """The model of a file, without what a network has no use for."""
+    model = read(Path(path))
+    return needed(model, path, _quantizes(model))
 
 
 def _windows(model: Any, path: Path | str) -> dict[str, int]:
@@ -137,7 +145,7 @@ def from_qonnx(
     inputs, outputs, state, name: as of `from_onnx`. None for a model without Quant nodes. Raises InputError as that,
     and for a Quant node that no format expresses, with what to do.
     """
-    model = read(Path(path))
+    model = opened(path)
     if not _quantizes(model):
         return None
     builder, made = _built(model, path, Declaring, inputs, outputs, state, None, name)
@@ -430,23 +438,14 @@ def _gemm(
     transB: int = 0,
 ) -> Value:
     one, two = (v.moved(np.transpose) if turned else v for v, turned in ((a, transA), (b, transB)))
-    out = _matmul(walk, one, two).times(alpha)
+    out = walk.builder.matmul(one, two, walk.hint).times(alpha)
     return out if c is None else out.plus(c.times(beta))
-
-
-def _matmul(walk: _Walk, a: Value, b: Value) -> Value:
-    if (found := matmul(a, b)) is None:
-        raise walk.refused("both factors are signals; one must be constant")
-    return found
 
 
 def _divide(walk: _Walk, a: Value, b: Value) -> Value:
     if b.constant is None and _of_softsign(walk, *walk.node.input):
         return walk.builder.activated(a, "softsign", walk.hint)
-    divisor = walk.fixed(b, "the divisor")
-    if not divisor.all():
-        raise walk.refused("divides by 0")
-    return a.times(1.0 / divisor)
+    return walk.builder.product(a, norms.inverse(walk.builder, b, walk.hint), walk.hint)
 
 
 def _of_softsign(walk: _Walk, x: str, divisor: str) -> bool:
@@ -470,6 +469,41 @@ def _logarithm(walk: _Walk, x: Value) -> Value:
     return value.plus(softplus(walk.builder, value, walk.hint).times(-1.0))
 
 
+def _softmax(how: Callable) -> Callable:
+    return lambda walk, x, axis=-1: how(walk.builder, x, axis, walk.hint)
+
+
+def _layer_norm(how: Callable) -> Callable:
+    def run(
+        walk: _Walk, x: Value, gain: Value, shift: Value | None = None, axis: int = -1, epsilon: float = 1e-5, **_: Any
+    ) -> Value:
+        axes = list(range(axis % len(x.shape), len(x.shape)))
+        found = walk.builder.product(how(walk.builder, x, axes, epsilon, walk.hint), gain, walk.hint)
+        return found if shift is None else found.plus(shift)
+
+    return run
+
+
+def _group_norm(
+    walk: _Walk, x: Value, gain: Value, shift: Value, epsilon: float = 1e-5, num_groups: int = 0, **_: Any
+) -> Value:
+    """num_groups: of the channels; 0 is a group for each."""
+    groups = num_groups or x.shape[1]
+    parts = x.moved(lambda i: i.reshape(x.shape[0], groups, -1))
+    whole = norms.normalised(walk.builder, parts, [-1], epsilon, walk.hint).moved(lambda i: i.reshape(x.shape))
+    each = [np.repeat(v, x.shape[1] // v.size) for v in (walk.fixed(gain, "the scale"), walk.fixed(shift, "the bias"))]
+    scale, bias = (v.reshape(-1, *(1 for _ in x.shape[2:])) for v in each)
+    return whole.times(scale).plus(constant(bias))
+
+
+def _unit_length(walk: _Walk, x: Value, axis: int = -1, p: int = 2) -> Value:
+    """By the root of the sum of squares; ONNX gives 0 where that is 0."""
+    if p != 2:
+        raise walk.refused("p = 1 is not carried; write p = 2")
+    length = walk.builder.power(x, 2, walk.hint).summed([axis], True).plus(constant(NOTHING**2))
+    return walk.builder.product(x, norms.inverse_root(walk.builder, length, walk.hint), walk.hint)
+
+
 def _activated(kind: str) -> Callable:
     return lambda walk, x: walk.builder.activated(x, kind, walk.hint)
 
@@ -483,7 +517,7 @@ def _clip(walk: _Walk, x: Value, low: Value | None = None, high: Value | None = 
 
 
 def _power(walk: _Walk, x: Value, n: Value) -> Value:
-    return walk.builder.powers(x, walk.fixed(n, "the exponent"), walk.hint)
+    return norms.powers(walk.builder, x, walk.fixed(n, "the exponent"), walk.hint)
 
 
 def _where(walk: _Walk, condition: Value, above: Value, below: Value) -> Value:
@@ -644,6 +678,40 @@ def _regressed(
     return wide.linear(np.reshape(coefficients, (targets, -1))).plus(constant(intercepts))
 
 
+def _classified(
+    walk: _Walk,
+    x: Value,
+    coefficients: Sequence[float],
+    intercepts: Sequence[float],
+    post_transform: str = "NONE",
+    **_: Any,
+) -> list[Value | None]:
+    """The numbers of all classes; the class itself is none."""
+    wide = x if x.shape[1:] else x.moved(np.atleast_2d)
+    scores = wide.linear(np.reshape(coefficients, (len(intercepts), -1))).plus(constant(intercepts))
+    if post_transform == "SOFTMAX":
+        return [None, norms.softmax(walk.builder, scores, -1, walk.hint)]
+    if post_transform == "LOGISTIC":
+        return [None, walk.builder.activated(scores, "logsig", walk.hint)]
+    if post_transform != "NONE":
+        raise walk.refused(f"post_transform {post_transform} is not carried; SOFTMAX and LOGISTIC are")
+    return [None, scores]
+
+
+def _row_norm(walk: _Walk, x: Value, norm: str = "MAX") -> Value:
+    """By the sum of absolute values, or the root of that of squares; 0 where that is 0."""
+    made = walk.made.get(walk.node.input[0])
+    shares = [a.s for a in made.attribute if a.name == "post_transform"] if made is not None else []
+    if norm == "L1" and shares == [b"SOFTMAX"]:
+        return x  # its sum is 1
+    if norm == "L2":
+        return _unit_length(walk, x)
+    if norm != "L1":
+        raise walk.refused(f"norm {norm} is not carried; L1 and L2 are")
+    total = walk.builder.rectified(x, -1.0, walk.hint).summed([-1], True).plus(constant(NOTHING))
+    return walk.builder.product(x, norms.inverse(walk.builder, total, walk.hint), walk.hint)
+
+
 def _scaler(walk: _Walk, x: Value, offset: Sequence[float] = (0.0,), scale: Sequence[float] = (1.0,)) -> Value:
     return x.plus(constant(-np.asarray(offset))).times(np.asarray(scale))
 
@@ -663,7 +731,7 @@ def _binarized(walk: _Walk, x: Value, threshold: float = 0.0) -> Value:
 
 FUNCTIONS: dict[str, Callable] = {
     "Gemm": _gemm,
-    "MatMul": _matmul,
+    "MatMul": lambda walk, a, b: walk.builder.matmul(a, b, walk.hint),
     "Add": lambda walk, a, b: a.plus(b),
     "Sub": lambda walk, a, b: a.plus(b.times(-1.0)),
     "Mul": lambda walk, a, b: walk.builder.product(a, b, walk.hint),
@@ -672,6 +740,20 @@ FUNCTIONS: dict[str, Callable] = {
     "Sum": lambda walk, *values: reduce(Value.plus, values),
     "Pow": _power,
     "Log": _logarithm,
+    "Exp": lambda walk, x: norms.exp(walk.builder, x, walk.hint),
+    "Sqrt": lambda walk, x: norms.root(walk.builder, x, walk.hint),
+    "Reciprocal": lambda walk, x: norms.inverse(walk.builder, x, walk.hint),
+    "Softmax": _softmax(norms.softmax),
+    "LogSoftmax": _softmax(norms.log_softmax),
+    "ReduceLogSumExp": _many(norms.log_sum),
+    "ReduceL2": lambda walk, x, *rest, **options: norms.root(
+        walk.builder, _of(_squared)(walk, x, *rest, **options), walk.hint
+    ),
+    "LayerNormalization": _layer_norm(norms.normalised),
+    "RMSNormalization": _layer_norm(partial(norms.normalised, centred=False)),
+    "InstanceNormalization": _group_norm,
+    "GroupNormalization": _group_norm,
+    "LpNormalization": _unit_length,
     "Tanh": _activated("tansig"),
     "Sigmoid": _activated("logsig"),
     "Softsign": _activated("softsign"),
@@ -733,10 +815,12 @@ FUNCTIONS: dict[str, Callable] = {
 DOMAINS: dict[tuple[str, ...], Mapping[str, Callable]] = {
     STANDARD: FUNCTIONS,
     QONNX: QUANTIZERS,
-    ("ai.onnx.ml",): {
+    (ML,): {
         "Scaler": _scaler,
         "ArrayFeatureExtractor": _extracted,
         "LinearRegressor": _regressed,
+        "LinearClassifier": _classified,
+        "Normalizer": _row_norm,
         "Imputer": _imputed,
         "Binarizer": _binarized,
     },

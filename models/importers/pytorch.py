@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from greygate.errors import InputError, shown
-from greygate.models.importers import curves
+from greygate.models.importers import curves, norms
 from greygate.models.importers.builder import Builder, Value, constant, stacked, taken
 from greygate.models.network import Network, Port
 from greygate.progress import once
@@ -38,6 +38,7 @@ SEQUENCES = ("RNN", "GRU", "LSTM")
 STEPS = 10  # that the network and the module take side by side
 AGREED = 1e-9  # of the largest that an output is: float64 keeps 16 digits, a cancellation may take some
 FAR = 1e3  # of the largest port: a limit beyond takes three digits of the sum with it, a multiplexer none
+DOUBLE = float(np.finfo(float).eps)  # torch's epsilon where none is given
 SILENT = 1e-12  # of a port's scale: an output that is no larger is 0
 
 
@@ -634,9 +635,9 @@ def _divide(walk: _Walk, a: Any, b: Any, rounding_mode: Any = None) -> Value:
     if rounding_mode is not None:
         raise walk.refused("div", "it rounds to whole numbers; leave that out")
     if (by := _value(b).constant) is None:
-        if _of_softsign(*walk.node.args[:2]):
+        if len(walk.node.args) > 1 and _of_softsign(*walk.node.args[:2]):
             return _softsign(walk.builder, _value(a), walk.hint())
-        raise walk.refused("div", "the divisor is a signal; multiply by a function of it that you approximate instead")
+        return _multiply(walk, a, norms.inverse(walk.builder, _value(b), walk.hint()))
     return _value(a).times(1.0 / by)
 
 
@@ -762,8 +763,8 @@ def _clamp(walk: _Walk, x: Value, low: Any = None, high: Any = None, **options: 
 def _power(walk: _Walk, x: Any, n: Any) -> Value:
     """Every element to its own exponent."""
     if isinstance(n, Value):
-        raise InputError("its exponent is a signal; 2, 3 and 4 can be carried")
-    return walk.builder.powers(x, np.asarray(n, float), walk.hint())
+        raise InputError("its exponent is a signal; a number can be carried")
+    return norms.powers(walk.builder, x, np.asarray(n, float), walk.hint())
 
 
 def _prelu(walk: _Walk, x: Value, slope: Any) -> Value:
@@ -800,9 +801,96 @@ def _normed(walk: _Walk, x: Value, w: Any, b: Any, mean: Any, var: Any, *rest: A
     return [x.plus(constant(-center)).times(scale).plus(constant(shift)), None, None]
 
 
+def _softmax(how: Callable) -> Callable:
+    return lambda walk, x, dim, *_, **__: how(walk.builder, x, dim, walk.hint())
+
+
+def _log_sum(walk: _Walk, x: Value, dim: Any, keepdim: bool = False) -> Value:
+    return norms.log_sum(walk.builder, x, [dim] if isinstance(dim, int) else dim, keepdim, walk.hint())
+
+
+def _shifted(x: Value, w: Any, b: Any, shape: Sequence[int]) -> Value:
+    """Times a gain, plus a bias, where they are given, each in that shape."""
+    for given, how in ((w, Value.times), (b, lambda v, by: v.plus(constant(by)))):
+        if given is not None:
+            x = how(x, _value(given).bias.reshape(tuple(shape)))
+    return x
+
+
+def _layer_norm(
+    walk: _Walk, x: Value, shape: list[int], w: Any = None, b: Any = None, eps: float = 1e-5, *_: Any
+) -> list:
+    axes = list(range(len(x.shape) - len(shape), len(x.shape)))
+    return [_shifted(norms.normalised(walk.builder, x, axes, eps, walk.hint()), w, b, shape), None, None]
+
+
+def _rms_norm(walk: _Walk, x: Value, shape: list[int], w: Any = None, eps: float | None = None) -> list:
+    axes = list(range(len(x.shape) - len(shape), len(x.shape)))
+    found = norms.normalised(walk.builder, x, axes, DOUBLE if eps is None else eps, walk.hint(), centred=False)
+    return [_shifted(found, w, None, shape), None]
+
+
+def _group_norm(walk: _Walk, x: Value, groups: int, w: Any = None, b: Any = None, eps: float = 1e-5, *_: Any) -> Value:
+    parts = x.moved(lambda i: i.reshape(x.shape[0], groups, -1))
+    found = norms.normalised(walk.builder, parts, [-1], eps, walk.hint()).moved(lambda i: i.reshape(x.shape))
+    return _shifted(found, w, b, (-1, *[1] * (len(x.shape) - 2)))
+
+
+def _variance(walk: _Walk, x: Value, dim: Any = None, correction: Any = 1, keepdim: bool = False, **_: Any) -> Value:
+    if isinstance(dim, bool):
+        dim, correction = None, dim  # an older form, of `unbiased` alone
+    axes = [dim] if isinstance(dim, int) else list(dim or range(len(x.shape)))
+    own = walk.builder.activated(x.plus(x.mean(axes, True).times(-1.0)), "linear", walk.hint())
+    found = walk.builder.power(own, 2, walk.hint()).summed(axes, keepdim)
+    return found.times(1 / (x.size / found.size - (1 if correction is None else float(correction))))
+
+
+def _attention(
+    walk: _Walk, q: Any, k: Any, v: Any, mask: Any = None, dropout: float = 0.0, causal: bool = False,
+    scale: float | None = None, **_: Any,
+) -> Value:  # fmt: skip
+    if dropout:
+        raise InputError("it drops at random in training")
+    q, k, v = (_value(given) for given in (q, k, v))
+    seen = np.tri(q.shape[-2], k.shape[-2], dtype=bool) if causal else np.ones(1, bool)
+    added = constant(np.where(seen, 0.0, -np.inf))
+    if mask is not None:
+        found = walk.fixed(mask)
+        truths = str(getattr(mask, "dtype", "")) == "torch.bool"
+        added = constant(np.where(found, 0.0, -np.inf) if truths else found)
+    return norms.attention(walk.builder, q, k, v, added, scale or q.shape[-1] ** -0.5, walk.hint())
+
+
+def _cosine(walk: _Walk, a: Any, b: Any, dim: int = 1, eps: float = 1e-8) -> Value:
+    """Of the angle between two."""
+    one, two = _value(a), _value(b)
+    lengths = [
+        walk.builder.clipped(_length(walk, v, 2, dim), eps, None, walk.hint()) if v.weights
+        else constant(np.maximum(np.linalg.norm(v.constant, axis=dim), eps))
+        for v in (one, two)
+    ]  # fmt: skip
+    found = walk.builder.product(one, two, walk.hint()).summed([dim])
+    for length in lengths:
+        found = _divide(walk, found, length)
+    return found
+
+
+def _log_add(walk: _Walk, a: Any, b: Any) -> Value:
+    return norms.log_sum(walk.builder, stacked([_value(a), _value(b)], 0), [0], False, walk.hint())
+
+
+def _length(walk: _Walk, x: Value, order: Any = 2, dim: Any = None, keepdim: bool = False, **_: Any) -> Value:
+    axes = [dim] if isinstance(dim, int) else list(dim or [])
+    if order == 1:
+        return walk.builder.rectified(x, -1.0, walk.hint()).summed(axes, keepdim)
+    if order != 2:
+        raise InputError(f"its order is {order}; 1 and 2 can be carried")
+    return norms.root(walk.builder, walk.builder.power(x, 2, walk.hint()).summed(axes, keepdim), walk.hint())
+
+
 def _instance(walk: _Walk, x: Value, w: Any, b: Any, mean: Any, var: Any, own: bool, *rest: Any) -> Value:
     if own:
-        raise InputError("it normalises by the mean and the spread of its input")
+        return _group_norm(walk, x, x.shape[1], w, b, rest[1])
     return _normed(walk, x, w, b, mean, var, rest[1])[0]
 
 
@@ -935,6 +1023,18 @@ FUNCTIONS: dict[str, Callable] = {
     "lt": lambda walk, a, b: FUNCTIONS["ge"](walk, a, b).times(-1.0).plus(constant(1.0)),
     **dict.fromkeys(["_to_copy", "to", "type_as"], lambda walk, x, *_, **__: x),
     **dict.fromkeys(["zero", "zeros_like", "ones_like", "full_like", "new_zeros", "new_ones", "new_full"], _shaped),
+    **dict.fromkeys(["softmax", "_softmax"], _softmax(norms.softmax)),
+    **dict.fromkeys(["log_softmax", "_log_softmax"], _softmax(norms.log_softmax)),
+    "scaled_dot_product_attention": _attention, "cosine_similarity": _cosine, "logaddexp": _log_add,
+    "exp": lambda walk, x: norms.exp(walk.builder, x, walk.hint()),
+    "expm1": lambda walk, x: norms.exp(walk.builder, x, walk.hint()).plus(constant(-1.0)),
+    "logsumexp": _log_sum, "native_layer_norm": _layer_norm, "group_norm": _group_norm,
+    "layer_norm": lambda *given: _layer_norm(*given)[0], "rms_norm": lambda *given: _rms_norm(*given)[0],
+    "_fused_rms_norm": _rms_norm, "var": _variance, **dict.fromkeys(["linalg_vector_norm", "norm"], _length),
+    "std": lambda walk, *given, **told: norms.root(walk.builder, _variance(walk, *given, **told), walk.hint()),
+    "sqrt": lambda walk, x: norms.root(walk.builder, x, walk.hint()),
+    "rsqrt": lambda walk, x: norms.inverse_root(walk.builder, x, walk.hint()),
+    "reciprocal": lambda walk, x: norms.inverse(walk.builder, x, walk.hint()),
     "_native_batch_norm_legit_no_training": _normed, "instance_norm": _instance,
     "rnn_tanh": _layers("rnn_tanh", 1), "rnn_relu": _layers("rnn_relu", 1), "gru": _layers("gru", 1),
     "lstm": _layers("lstm", 2), "rnn_tanh_cell": _cells("rnn_tanh"), "rnn_relu_cell": _cells("rnn_relu"),
