@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greygate.compiler.tables import LARGEST_BITS
-from greygate.emulator.numbers import FRACTIONS, Fix, Overflow, Rounding, signed_width
+from greygate.emulator.numbers import ACCUMULATOR_BITS, FRACTIONS, Fix, Overflow, Rounding, signed_width
 from greygate.emulator.program import Affine, Clamp, Lookup, Operation, Program, Signal, Terminal
 from greygate.emulator.tables import Symmetry, Table
 from greygate.errors import InputError
@@ -23,6 +23,7 @@ from greygate.models.network import Port
 from greygate.progress import once
 
 FLOAT32 = 24  # bits of its significand: integers up to 2^24, and their sums, are exact
+REAL = ACCUMULATOR_BITS - 2  # bits of a sum of such weights, beside its sign and a bit of rounding
 INPUT_BITS = range(8, 17)  # of an input that no Quant reads
 DOUBT = 2.0**-21  # error that a tanh or a sigmoid in float32 may have: eight units in the last place of 1
 
@@ -54,12 +55,19 @@ def declared_program(
     which every sum is exact; a line says so. Raises InputError for an input without either, for a sum that float32 does
     not hold, and for a tanh or a sigmoid without formats around it, each with what to do.
     """
+    units: dict[str, float] = {}
+    if quantized.real:
+        quantized, units = _in_codes(quantized)
+        once(
+            f"{quantized.network.name}: its scales are no powers of two: signals are codes, rounded as it says; "
+            f"weights by scales have {FLOAT32} bits, so a code that float32 cannot tell from the next may differ by one"
+        )
     network = quantized.network
     guessed = [p.name for p in network.inputs if p.name in reach and not _format(quantized, p.name)]
     for width in reversed(INPUT_BITS):
         forms = {n: _covering(reach[n], width) for n in guessed}
         try:
-            program = _Declared(quantized, forms).program(period)
+            program = _Declared(quantized, forms, units).program(period)
         except InputError:
             if not guessed or width == INPUT_BITS.start:
                 raise
@@ -68,6 +76,23 @@ def declared_program(
             once(f"input {n}: no Quant reads it; Fix({form.width}, {form.frac}) by the recording")
         break
     return program
+
+
+def _in_codes(quantized: Quantized) -> tuple[Quantized, dict[str, float]]:
+    """Inputs in units of the scale of the Quants that alone read them: (the same with such inputs, their scales)."""
+    units = {}
+    for port in quantized.network.inputs:
+        read = [s.value.weights[port.name, 0] for s in quantized.steps if (port.name, 0) in s.value.weights]
+        factors = np.unique(np.concatenate([w[w != 0] for w in read])) if read else np.ones(1)
+        if len(factors) == 1 and factors[0] > 0:
+            units[port.name] = 1 / float(factors[0])
+
+    def turned(value: Value) -> Value:
+        weights = {s: (w != 0) * 1.0 if s[0] in units else w for s, w in value.weights.items()}
+        return Value(value.shape, value.bias, weights)
+
+    steps = tuple(s._replace(value=turned(s.value)) for s in quantized.steps)
+    return quantized._replace(steps=steps), units
 
 
 def _format(quantized: Quantized, name: str) -> Format | None:
@@ -86,11 +111,12 @@ def _covering(reach: float, width: int) -> Format:
 
 
 class _Declared:
-    """given: formats of inputs that no Quant reads."""
+    """given: formats of inputs that no Quant reads. units: of inputs, 1 if not named."""
 
-    def __init__(self, quantized: Quantized, given: Mapping[str, Format]):
-        self.quantized, self.given = quantized, given
-        self.network, self.steps = quantized
+    def __init__(self, quantized: Quantized, given: Mapping[str, Format], units: Mapping[str, float]):
+        self.quantized, self.given, self.units = quantized, given, units
+        self.network, self.steps, self.real = quantized
+        self.shown: dict[str, tuple[float, float]] = {}  # an output -> its scale and its offset
         self.known: dict[str, Bounded] = {}
         self.curves: dict[str, Step] = {}  # a tanh or a sigmoid, until the Quant that reads it gives its format
         self.tables: dict[str, Table] = {}
@@ -100,7 +126,9 @@ class _Declared:
         inputs = [self._input(p) for p in self.network.inputs]
         shown = [getattr(self, f"_{KINDS[step.kind]}")(step) for step in self.steps]
         ends = [s for s, step in zip(shown, self.steps, strict=True) if step.kind == "output"]
-        outputs = [Terminal(p.name, s, p.unit, 1.0, 0.0) for p, s in zip(self.network.outputs, ends, strict=True)]
+        scales = [self.shown[step.name] for step in self.steps if step.kind == "output"]
+        ports = zip(self.network.outputs, ends, scales, strict=True)
+        outputs = [Terminal(p.name, s, p.unit, *scale) for p, s, scale in ports]
         parts = tuple(inputs), (), tuple(self.operations), tuple(outputs), tuple(self.tables.values())
         return Program(self.network.name, *parts, period).check()
 
@@ -113,7 +141,7 @@ class _Declared:
             raise InputError(f"input {port.name}: is rounded to the nearest code; give its Quant rounding_mode ROUND")
         signal = Signal(port.name, port.size, Fix(form.width, form.frac))
         self.known[port.name] = Bounded(signal, signal.fix.lo, signal.fix.hi)
-        return Terminal(port.name, signal, port.unit, 1.0, 0.0)
+        return Terminal(port.name, signal, port.unit, self.units.get(port.name, 1.0), 0.0)
 
     def _quant(self, step: Step) -> Signal:
         form = step.format
@@ -145,6 +173,11 @@ class _Declared:
 
     def _later(self, step: Step) -> Signal:
         """A tanh or a sigmoid: its argument now, its table when its format is known."""
+        if self.real:
+            raise InputError(
+                f"{step.name}: its argument is on no grid of powers of two; give the Quants before and behind it such "
+                "scales, or compile the model as it was before it was quantized"
+            )
         arg = self.known[self._exact(f"{step.name}.n", step.value)].signal
         if arg.fix.width > LARGEST_BITS + 1:
             raise InputError(
@@ -180,7 +213,18 @@ class _Declared:
         self._define(out, *table.extremes)
 
     def _output(self, step: Step) -> Signal:
-        return self.known[self._exact(step.name, step.value)].signal
+        """Codes, and beside them the scale and the offset that they have in common, if they are on no grid."""
+        value, scale, offset = step.value, 1.0, 0.0
+        factors = (
+            np.unique(np.concatenate([w[w != 0] for w in value.weights.values()])) if value.weights else np.ones(1)
+        )
+        alike = len(factors) == 1 and factors[0] > 0 and (value.bias == value.bias[0]).all()
+        if self.real and alike and all(((w != 0).sum(1) <= 1).all() for w in value.weights.values()):
+            scale, offset = float(factors[0]), float(value.bias[0])
+            picks = {s: (w != 0) * 1.0 for s, w in value.weights.items()}
+            value = Value(value.shape, np.zeros(value.size), picks)
+        self.shown[step.name] = scale, offset
+        return self.known[self._exact(step.name, value)].signal
 
     def _define(self, signal: Signal, lo: int, hi: int) -> Signal:
         self.known[signal.name] = Bounded(signal, lo, hi)
@@ -194,8 +238,12 @@ class _Declared:
         if source in self.known:
             return source
         sums = self._sums(name, value)
-        out = Signal(name, value.size, Fix(max(2, signed_width(sums.reach)), sums.frac))
-        self._affine(out, value, Rounding.TRUNCATE)
+        width = max(2, signed_width(sums.reach))
+        less = max(0, width - FLOAT32 - 1)  # of a sum of such weights as float32 does not hold, either
+        out = Signal(name, value.size, Fix(width - less, sums.frac - less))
+        self._affine(out, value, Rounding.HALF_EVEN if less else Rounding.TRUNCATE)
+        if less:
+            return name
         self._define(out, -sums.reach, sums.reach)
         return name
 
@@ -211,18 +259,28 @@ class _Declared:
                 raise InputError(f"{source}: {name} reads it as it is; put a Quant directly behind it")
         read = [self.known[source] for source, _ in value.weights] or list(self.known.values())[:1]
         matrices = list(value.weights.values()) or [np.zeros((value.size, read[0].signal.size))]
-        fracs = [_bits(name, w) + r.signal.fix.frac for w, r in zip(matrices, read, strict=True)]
-        frac = max(*fracs, _bits(name, value.bias), FRACTIONS.start)
-        bias = np.ldexp(value.bias, frac)
-        codes = [np.ldexp(w, frac - r.signal.fix.frac) for w, r in zip(matrices, read, strict=True)]
+        bits = self._rounded if self.real else _bits
+        fracs = [bits(name, w) + r.signal.fix.frac for w, r in zip(matrices, read, strict=True)]
+        frac = max(*fracs, FRACTIONS.start) if self.real else max(*fracs, _bits(name, value.bias), FRACTIONS.start)
+        bias = np.round(np.ldexp(value.bias, frac))
+        codes = [np.round(np.ldexp(w, frac - r.signal.fix.frac)) for w, r in zip(matrices, read, strict=True)]
         reach = np.abs(bias) + sum(np.abs(w).sum(1) * max(-r.lo, r.hi) for w, r in zip(codes, read, strict=True))
-        if (most := float(reach.max())) > 2.0**FLOAT32:
+        if (most := float(reach.max())) > 2.0 ** (REAL if self.real else FLOAT32):
             raise InputError(
                 f"{name}: its sum needs {int(np.ceil(np.log2(most)))} bits, more than the {FLOAT32} that float32 holds "
                 "exactly; give the Quants of its weights, its bias or its inputs fewer bits"
             )
         weights = np.concatenate(codes, axis=1).astype(np.int64)
         return Sums(tuple(r.signal.name for r in read), weights, bias.astype(np.int64), frac, int(most))
+
+    @staticmethod
+    def _rounded(name: str, numbers: np.ndarray) -> int:
+        """Fraction bits with which the largest number has as many bits as in float32; fewer if they say all exactly."""
+        if not numbers.any():
+            return 0
+        most = FLOAT32 - int(np.frexp(np.abs(numbers).max())[1])
+        exact = [bits for bits in range(min(0, most), most) if not (np.ldexp(numbers, bits) % 1).any()]
+        return exact[0] if exact else most
 
 
 KINDS = {"quant": "quant", "relu": "relu", "tansig": "later", "logsig": "later", "output": "output"}

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -149,7 +150,99 @@ def write_sklearn(folder: Path) -> None:
         (folder / f"sklearn {name}.onnx").write_bytes(made_of.SerializeToString())
 
 
+CONTROLLERS = {  # of the verification contest ARCH-COMP: inputs, neurons of each layer, outputs; what they bend by
+    "ACC 3x20": ([5, 20, 20, 20, 1], "Relu"),
+    "ACC 5x20": ([5, 20, 20, 20, 20, 20, 1], "Relu"),
+    "ACC 7x20": ([5, *[20] * 7, 1], "Relu"),
+    "TORA": ([4, 100, 100, 100, 1], "Relu"),
+    "TORA, tanh": ([4, 20, 20, 20, 1], "Tanh"),
+    "TORA, sigmoid": ([4, 20, 20, 20, 1], "Sigmoid"),
+    "unicycle": ([4, 500, 2], "Relu"),
+    "VCAS": ([3, 20, 20, 20, 20, 20, 9], "Relu"),
+    "single pendulum": ([2, 25, 25, 1], "Relu"),
+    "double pendulum": ([4, 25, 25, 2], "Relu"),
+    "double pendulum, robust": ([4, 25, 25, 25, 2], "Relu"),
+    "airplane": ([12, 100, 100, 20, 6], "Relu"),
+    "attitude": ([6, 64, 64, 64, 3], "Sigmoid"),
+    "quadrotor": ([12, 64, 64, 64, 3], "Sigmoid"),
+    "docking": ([4, 256, 256, 4], "Tanh"),
+    "mountain car": ([2, 16, 16, 1], "Tanh"),
+}
+
+
+def write_controllers(folder: Path) -> None:
+    """As MATLAB's exporter writes them: an image of one pixel, less its mean, and convolutions over the whole of it."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    rng = np.random.default_rng(0)
+    for name, (sizes, bend) in CONTROLLERS.items():
+        fixed, nodes, last = {"mean": rng.normal(size=(1, sizes[0], 1, 1))}, [], "input_centred"
+        nodes.append(helper.make_node("Sub", ["input", "mean"], [last], name="input_Sub"))
+        for k, (n, m) in enumerate(pairwise(sizes)):
+            fixed |= {f"fc_{k}_W": rng.normal(size=(m, n, 1, 1)) / np.sqrt(n), f"fc_{k}_B": rng.normal(size=m) / 4}
+            nodes.append(helper.make_node("Conv", [last, f"fc_{k}_W", f"fc_{k}_B"], [f"fc_{k}"], name=f"fc_{k}"))
+            last = f"fc_{k}"
+            if k < len(sizes) - 2:
+                nodes.append(helper.make_node(bend, [last], [f"act_{k}"], name=f"act_{k}"))
+                last = f"act_{k}"
+        ports = [
+            [helper.make_tensor_value_info(n, TensorProto.FLOAT, [1, c, 1, 1])]
+            for n, c in (("input", sizes[0]), (last, sizes[-1]))
+        ]
+        constants = [numpy_helper.from_array(v.astype(np.float32), n) for n, v in fixed.items()]
+        graph = helper.make_graph(nodes, "net", *ports, constants)
+        made_of = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 9)], ir_version=4)
+        (folder / f"matlab {name}.onnx").write_bytes(made_of.SerializeToString())
+
+
+def write_examples(folder: Path) -> None:
+    """Shapes of the example models of hls4ml."""
+    import keras
+    from keras import layers
+
+    def dense(*sizes: int, act: str = "relu", end: str = "softmax", norm: bool = False) -> list:
+        found: list = []
+        for n in sizes[:-1]:
+            found += [layers.Dense(n), *([layers.BatchNormalization()] if norm else []), layers.Activation(act)]
+        return [*found, layers.Dense(sizes[-1], end)]
+
+    parts: dict[str, tuple[list[int], Callable[[], list]]] = {
+        "keras_1layer": ([10], lambda: dense(32, 1, end="sigmoid")),
+        "keras_3layer": ([16], lambda: dense(64, 32, 32, 5)),
+        "keras_3layer_binary_smaller": ([16], lambda: dense(32, 16, 8, 1, end="sigmoid")),
+        "keras_3layer_batch_norm": ([16], lambda: dense(64, 32, 32, 5, norm=True)),
+        "keras_3layer_elu": ([16], lambda: dense(64, 32, 32, 5, act="elu")),
+        "keras_3layer_selu": ([16], lambda: dense(64, 32, 32, 5, act="selu")),
+        "keras_dense_16x100x100x100x5": ([16], lambda: dense(100, 100, 100, 5)),
+        "keras_conv1d_small": (
+            [10, 4],
+            lambda: [layers.Conv1D(8, 3, activation="relu"), layers.Flatten(), *dense(16, 5)],
+        ),
+        "jetTagger_Conv1D": (
+            [16, 7],
+            lambda: [
+                layers.Conv1D(8, 4, 2, activation="relu"),
+                layers.MaxPooling1D(2),
+                layers.Flatten(),
+                *dense(16, 5),
+            ],
+        ),
+        "keras_conv2d_small": (
+            [6, 6, 1],
+            lambda: [layers.Conv2D(4, 3, activation="relu"), layers.Flatten(), *dense(5)],
+        ),
+        "toptagging_GRU": ([8, 6], lambda: [layers.GRU(10), *dense(16, 1, end="sigmoid")]),
+        "toptagging_LSTM": ([8, 6], lambda: [layers.LSTM(10), *dense(16, 1, end="sigmoid")]),
+        "quickdraw_RNN": ([8, 3], lambda: [layers.SimpleRNN(10), *dense(16, 5)]),
+    }
+    keras.utils.set_random_seed(1)
+    for name, (shape, of) in parts.items():
+        model = keras.Sequential([keras.Input(shape), *of()])
+        model(np.zeros((1, *shape)))
+        model.export(str(folder / f"hls4ml {name}.onnx"), format="onnx", verbose=False)
+
+
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
-    for write in (write_torch, write_keras, write_sklearn):
+    for write in (write_torch, write_keras, write_sklearn, write_controllers, write_examples):
         write(Path(sys.argv[1]))

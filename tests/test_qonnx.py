@@ -1,5 +1,7 @@
 """A QONNX model becomes a program that gives every bit of QONNX's own executor."""
 
+from itertools import pairwise
+
 import numpy as np
 import onnxruntime
 import pytest
@@ -187,6 +189,66 @@ def test_zero_points_of_signals_give_every_bit_of_onnxruntime(name, tmp_path):
     assert np.array_equal(np.stack([answer["y_1"], answer["y_2"]], 1), expected)
 
 
+def scaled(m):
+    """Scales of any size: of an input, of each column of the weights, of what is hidden, of the output."""
+    h = m.quant("x", 0.021, 8)
+    for n, s in ((6, 0.037), (5, 0.051)):
+        w = m.quant(m.constant(m.rng.normal(size=(3 if n == 6 else 6, n)) / 2), m.rng.uniform(0.004, 0.01, (1, n)), 8)
+        h = m.quant(
+            m.node("Relu", m.node("Add", m.node("MatMul", h, w), m.constant(m.rng.normal(size=n)))), s, 8, signed=0
+        )
+    return m.quant(m.node("MatMul", h, m.constant(m.rng.normal(size=(5, 2)))), 0.043, 8)
+
+
+def answered(path, x):
+    """(what the program of a model answers, the scales of its outputs)."""
+    program = declared_program(load_quantized(path))
+    found = run(program, program.encode({p.name: x[:, k] for k, p in enumerate(program.inputs)}), states=False).outputs
+    answer = program.decode(found)
+    return np.stack([answer[p.name] for p in program.outputs], 1), [p.scale for p in program.outputs]
+
+
+def test_scales_that_are_no_powers_of_two_give_every_code(tmp_path, capfd):
+    m = Model(3)
+    path = m.saved(tmp_path / "model.onnx", scaled(m))
+    x = np.random.default_rng(9).normal(size=(N, 3)).astype(np.float32)
+    found, scales = answered(path, x)
+    codes, wanted = found / scales, executed(path, x) / scales
+    assert np.abs(codes - wanted).max() < 1e-3
+    assert len(np.unique(np.round(wanted))) > 20
+    assert "its scales are no powers of two: signals are codes" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("each", [False, True])
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_static_quantization_of_onnxruntime_gives_every_code_of_it(each, signed, tmp_path):
+    from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=(N, 3)).astype(np.float32)
+    sizes, nodes, fixed, last = (3, 8, 6, 2), [], {}, "x"
+    for k, (n, o) in enumerate(pairwise(sizes)):
+        fixed |= {f"w{k}": rng.normal(size=(n, o)).astype(np.float32), f"b{k}": rng.normal(size=o).astype(np.float32)}
+        nodes.append(helper.make_node("Gemm", [last, f"w{k}", f"b{k}"], [f"g{k}"], name=f"gemm{k}"))
+        last = "y" if o == sizes[-1] else f"r{k}"
+        nodes.append(helper.make_node("Identity" if last == "y" else "Relu", [f"g{k}"], [last], name=f"act{k}"))
+
+    class Reader(CalibrationDataReader):
+        left = iter([{"x": x}])
+
+        def get_next(self):
+            return next(self.left, None)
+
+    (tmp_path / "float.onnx").write_bytes(built(nodes, {"x": ["N", 3]}, ["y"], fixed, 17).SerializeToString())
+    kind = QuantType.QInt8 if signed else QuantType.QUInt8
+    options = {"activation_type": kind, "weight_type": QuantType.QInt8, "per_channel": each}
+    quantize_static(tmp_path / "float.onnx", tmp_path / "q.onnx", Reader(), QuantFormat.QDQ, **options)
+    (expected,) = onnxruntime.InferenceSession(str(tmp_path / "q.onnx")).run(None, {"x": x})
+    found, scales = answered(tmp_path / "q.onnx", x)
+    assert np.abs(found - expected).max() < 1e-3 * max(scales)
+    assert len(np.unique(expected)) > 20
+
+
 def test_weights_of_one_bit_and_an_input_without_quant_are_carried(tmp_path, capfd):
     m = Model()
     path = m.saved(tmp_path / "model.onnx", binary(m))
@@ -210,7 +272,8 @@ def behind(operation):
 
 
 REFUSED = {  # what is said -> the model's output
-    "scale 0.3 is no power of two": lambda m: m.quant("x", 0.3, 8),
+    "its scale is -0.3; give it a positive one": lambda m: m.quant("x", -0.3, 8),
+    "on no grid of powers of two": lambda m: m.quant(m.node("Tanh", m.quant("x", 0.3, 8)), 0.01, 8),
     "several scales for one signal": lambda m: m.quant("x", [[0.5, 0.25, 0.5]], 8),
     "a zero point that is not 0": lambda m: m.quant("x", 0.5, 8, zero=3.0),
     "rounding_mode 'CEIL'; the hardware has ROUND and FLOOR": lambda m: m.quant("x", 0.5, 8, mode="CEIL"),

@@ -103,6 +103,10 @@ INSTEAD = {  # operation -> what to write, or to give, in its place
     ("sin", "cos", "tan"): "a sine and a cosine that the host gives as inputs, as an angle grows without bound",
     ("round", "floor", "ceil"): "what it rounds, or where with a limit for each step",
     ("sort", "topk", "argmax", "argmin"): "maximum and minimum of pairs",
+    ("qlinearmatmul", "qgemm", "qlinearconv", "qlinearadd", "qlinearmul", "qlinearsigmoid"):
+        "the model in QDQ format (quantize_static(..., quant_format=QuantFormat.QDQ))",
+    ("dynamicquantizelinear", "matmulinteger", "convinteger", "dynamicquantizematmul"):
+        "a static quantization (quantize_static), whose scales do not depend on the data",
     ("multiheadattention", "attention"): "softmax(q k^T) v out, with MatMul and Softmax",
     ("treeensembleregressor", "svmregressor"): "an MLPRegressor that is trained on its answers",
 }  # fmt: skip

@@ -101,8 +101,8 @@ def inverse(builder: Builder, x: Value, hint: str = "inverse") -> Value:
     sign = np.where(builder.ends(x)[1] < 0, -1.0, 1.0).reshape(x.shape)
     turned = x.times(sign)
     _at_least(builder, turned, np.finfo(float).tiny, "the divisor is a signal that may be 0")
-    if (found := builder.inverse_of_root(x)) is not None:
-        return found
+    if (there := builder.inverse_of_root(turned)) is not None:
+        return there.times(sign)
     return builder.power(builder.activated(turned, "rsqrt", hint), 2, hint).times(sign)
 
 

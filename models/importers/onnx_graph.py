@@ -149,7 +149,7 @@ def from_qonnx(
     if not _quantizes(model):
         return None
     builder, made = _built(model, path, Declaring, inputs, outputs, state, None, name)
-    return Quantized(made.network, tuple(builder.steps))
+    return Quantized(made.network, tuple(builder.steps), builder.real)
 
 
 def _quantizes(model: Any) -> bool:

@@ -73,7 +73,7 @@ GROWING: Mapping[str, Callable[..., int]] = {
     "GatherND": lambda x, places: _extent(x.shape) * _extent(places.shape),
     "OneHot": lambda places, depth, values: _extent(places.shape) * max(int(np.max(depth)), 1),
     "Einsum": lambda *factors: prod(_extent(f.shape) for f in factors),
-    "Conv": lambda x, w, *_: _extent(x.shape) * _extent(w.shape),
+    "Conv": lambda x, w, *_: x.shape[0] * _extent(x.shape[2:]) * _extent(w.shape),
     "ConvTranspose": lambda x, w, *_: _extent(x.shape) * _extent(w.shape),
     "MatMul": _product,
     "Gemm": _multiplied,

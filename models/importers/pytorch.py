@@ -866,7 +866,7 @@ def _cosine(walk: _Walk, a: Any, b: Any, dim: int = 1, eps: float = 1e-8) -> Val
     one, two = _value(a), _value(b)
     lengths = [
         walk.builder.clipped(_length(walk, v, 2, dim), eps, None, walk.hint()) if v.weights
-        else constant(np.maximum(np.linalg.norm(v.constant, axis=dim), eps))
+        else constant(np.maximum(np.linalg.norm(walk.fixed(v), axis=dim), eps))
         for v in (one, two)
     ]  # fmt: skip
     found = walk.builder.product(one, two, walk.hint()).summed([dim])

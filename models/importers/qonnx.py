@@ -46,10 +46,14 @@ class Step(NamedTuple):
 
 
 class Quantized(NamedTuple):
-    """A network without its rounding, and the signals that it has with it, in the order of computation."""
+    """A network without its rounding, and the signals that it has with it, in the order of computation.
+
+    real: scales are any numbers: signals are codes in units of their scales, and weights have the bits of float32.
+    """
 
     network: Network
     steps: tuple[Step, ...]
+    real: bool = False
 
 
 class Declaring(Builder):
@@ -58,6 +62,7 @@ class Declaring(Builder):
     def __init__(self, name: str, inputs: Sequence[Port | str], outputs: Sequence[Port | str]):
         super().__init__(name, inputs, outputs)
         self.steps: list[Step] = []
+        self.real = False
 
     def quantized(self, value: Value, form: Format, hint: str) -> Value:
         """A layer that limits the value as the format does."""
@@ -134,11 +139,10 @@ def _quant(
     lo, hi = _codes(width, signed, narrow)
     if hi <= lo and width > 1:
         raise walk.refused("one bit of a narrow range holds only 0; give it two")
-    if not ((steps > 0) & (np.frexp(steps)[0] == 0.5)).all():  # np.frexp gives a mantissa from 0.5 to 1
-        raise walk.refused(
-            f"scale {steps.ravel()[0]:.6g} is no power of two; restrict scales to them (in Brevitas: "
-            "restrict_scaling_type=RestrictValueType.POWER_OF_TWO)"
-        )
+    if not (steps > 0).all():
+        raise walk.refused(f"its scale is {steps.min():g}; give it a positive one")
+    real = not (np.frexp(steps)[0] == 0.5).all()  # np.frexp gives a mantissa from 0.5 to 1
+    walk.builder.real |= real
     rounding, numpys = mode
     if (found := x.constant) is not None:
         if width == 1 and signed:  # Brevitas's 1 bit, as QONNX reads it
@@ -146,6 +150,9 @@ def _quant(
         return constant(numpys(np.clip(found / steps, lo, hi)) * steps)
     if (steps != steps.flat[0]).any():
         raise walk.refused("several scales for one signal, whose elements share a format; give it one scale")
+    if real:
+        form = Format(width + (not signed), 0, lo, hi, rounding)
+        return walk.builder.quantized(x.times(1 / steps.flat[0]), form, walk.hint).times(steps.flat[0])
     form = Format(width + (not signed), 1 - int(np.frexp(steps.flat[0])[1]), lo, hi, rounding)
     return walk.builder.quantized(x, form, walk.hint)
 
@@ -156,12 +163,16 @@ def quantized_linear(walk: Any, x: Value, scale: Value, zero: Value | None = Non
     if step.size != 1 or np.size(point) != 1:
         raise walk.refused("several scales for one signal, whose elements share a format; quantize it per tensor")
     size, shift = float(step.reshape(())), float(np.reshape(point, ()))
-    if not (size > 0 and np.frexp(size)[0] == 0.5):
-        raise walk.refused(f"scale {size:.6g} is no power of two, so no format has it; quantize with powers of two")
+    if not size > 0:
+        raise walk.refused(f"its scale is {size:g}; give it a positive one")
     low, high = (int(v - shift) for v in _range(walk.node, walk.scope))
     width = 1 + max((~low if low < 0 else low).bit_length(), high.bit_length())
-    form = Format(width, 1 - int(np.frexp(size)[1]), low, high, "half_even")
-    return walk.builder.quantized(x, form, walk.hint).times(1 / size).plus(constant(shift))
+    if np.frexp(size)[0] == 0.5:
+        form = Format(width, 1 - int(np.frexp(size)[1]), low, high, "half_even")
+        return walk.builder.quantized(x, form, walk.hint).times(1 / size).plus(constant(shift))
+    walk.builder.real = True
+    form = Format(width, 0, low, high, "half_even")
+    return walk.builder.quantized(x.times(1 / size), form, walk.hint).plus(constant(shift))
 
 
 def dequantized_linear(walk: Any, x: Value, scale: Value, zero: Value | None = None, **_: Any) -> Value:
