@@ -141,3 +141,12 @@ def test_the_hardware_answers_every_code_as_the_program_says(memory, tmp_path):
     blocks = [rtl.block(name) for name in ("greygate_lookup", "greygate_product")]
     wrong = simulate([*files, *blocks], bench(tables, modules), data)
     assert dict(zip(modules, wrong, strict=True)) == dict.fromkeys(modules, 0)
+
+
+def test_a_table_of_more_segments_has_shorter_ones_and_errs_no_more():
+    arg, out = Fix(13, 10), Fix(12, 11)
+    few, many = make_table("tansig", arg, out), make_table("tansig", arg, out, segments=1024)
+    assert (few.entries, few.shift) == (129, 5)
+    assert (many.entries, many.shift) == (1025, 2)
+    assert many.worst_error < few.worst_error
+    assert make_table("tansig", Fix(8, 5), out, segments=1024).shift == 0  # no more than there are codes
