@@ -81,11 +81,17 @@ def odd(**changes) -> Lines:
     return Lines("odd", "any", parts.pop("symmetry", Symmetry.ODD), **parts)
 
 
+BASES, SLOPES = (3, 60, 500, -70, -300, 900, 640, 200, 33, 5), (9, -8, 40, 7, -6, 15, -14, 0, -31, 2)
+
+
 def every_kind() -> list[Table | Lines]:
     cases = [("tansig", Fix(13, 8), Fix(10, 9)), ("logsig", Fix(12, 7), Fix(9, 8)), ("radbas", Fix(11, 7), Fix(9, 8))]
     made = [make_table(*case, 1.25, form=form) for case in cases for form in Form]
     made += [make_table("tansig", Fix(8, 4), Fix(7, 6), 1.25, interpolated=False)]
     made += [odd(), odd(symmetry=Symmetry.EVEN), odd(symmetry=Symmetry.COMPLEMENT), odd(guard=0, slope_frac=0)]
+    cases = [("tansig", Fix(10, 7), Fix(9, 8)), ("radbas", Fix(9, 5), Fix(9, 8)), ("logsig", Fix(9, 5), Fix(9, 8))]
+    made += [make_table(*case, segments=128) for case in cases]  # products of few bits
+    made += [odd(guard=0, shifts=(2, 3, 3), drops=(0, 1, 1), bases=BASES, slopes=SLOPES)]
     return made
 
 
