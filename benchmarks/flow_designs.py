@@ -8,7 +8,7 @@ go through the same Yosys script in the same run.
 import json
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +20,8 @@ from greygate.compiler.explore.trail import KEPT, Candidate, Maker, coarser, wit
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design, architecture
+from greygate.emulator.numbers import Fix
+from greygate.emulator.program import Lookup
 from greygate.hardware.families import FAMILIES
 from greygate.hardware.synthesis import counted, synthesize
 from greygate.hardware.tools import run_tool
@@ -38,7 +40,8 @@ DESIGNS = {  # name -> RMS against float, prices of a digit that are tried, desi
 }
 WIDTHS = range(10, 19)
 PEER_WIDTH, PEER_INDEX = 16, 12  # bits of the peers' words, and of the argument of their tables
-CUTS = range(3)  # bits that the inputs may have less than the word
+CUTS = range(3)  # bits that the inputs may have less than the word, and arguments of tables less above the point
+SEGMENTS = 1024  # words of a block RAM of Xilinx 7, of 18 bits
 ROM_STYLE = re.compile(r"\(\* rom_style[^*]*\*\)")
 
 
@@ -55,13 +58,28 @@ def smallest(rms: float, prices: tuple[float, ...], design: Design) -> Candidate
             for _ in CUTS:
                 if one is None:
                     break
-                found.append(one)
+                found.append((one, rounded))
                 formats = one.formats
                 for port in one.program.inputs:
                     formats = coarser(replace(one, formats=formats), ("signal", port.signal.name)) or formats
                 one = rounded(formats)
-    met = [one for one in found if one.error <= rms]
-    return min(met, key=lambda one: (cost(one.program, "parallel", design, "xilinx").luts, one.error))
+
+    def least(among: list[Candidate | None]) -> Candidate:
+        met = [one for one in among if one is not None and one.error <= rms]
+        return min(met, key=lambda one: (cost(one.program, "parallel", design, "xilinx").luts, one.error))
+
+    one = least([one for one, _ in found])
+    make = next(make for other, make in found if other is one)
+    return least([one, *(make(formats) for formats in shorter_lines(one))])
+
+
+def shorter_lines(one: Candidate) -> Iterator[Formats]:
+    """Its formats with tables that fill a block RAM, and arguments of fewer bits above the point."""
+    program = one.program
+    arguments = {o.arg: program.signals[o.arg].fix for o in program.operations if isinstance(o, Lookup)}
+    for cut in CUTS:
+        fixes = {name: Fix(fix.width - cut, fix.frac) for name, fix in arguments.items()}
+        yield replace(one.formats, segments=SEGMENTS, signals={**one.formats.signals, **fixes})
 
 
 def beside(python: Path, package: str, families: Sequence[str], limit: float, data: Mapping | None = None) -> dict:

@@ -1,16 +1,18 @@
 """Random programs over the whole legal space of docs/integer-program.md: who differs from Python integers, how often.
 
-Every program goes through the interpreter and the engine; the first of them also through Verilator in both
-architectures (a quarter of an hour of one core). Exit code 1 if a bit differs.
+Every program goes through the interpreter and the engine; the first of them also through Verilator as every
+architecture, and fewer through Icarus where it is installed (half an hour of one core). Exit code 1 if a bit differs.
 """
 
 import json
+import shutil
 from collections.abc import Callable, Iterable
 from typing import Annotated
 
 import numpy as np
 from legal_programs import legal_codes, legal_program
 from oracle import differing_bits, perform
+from test_pipelined import streamed
 
 from greygate.compiler.targets import Design
 from greygate.emulator.engine import run
@@ -21,10 +23,10 @@ from greygate.hardware.verify import Case, Scenario, verify_many
 from .made import store
 from .shared import VERILATOR, say, scratch, stopwatch
 
-TAKES = "a quarter of an hour"
+TAKES = "half an hour"
 NEEDS = VERILATOR
 STEPS = 24
-ARCHITECTURES = ("parallel", "folded")
+ARCHITECTURES = ("parallel", "pipelined", "folded", "serial")
 TOGETHER = 50  # programs in one Verilator build
 
 
@@ -47,7 +49,7 @@ def emulated(seeds: Iterable[int], emulators: dict[str, Callable[..., Run]]) -> 
 
 
 def hardware(seeds: range) -> dict:
-    """What Verilator makes of every program, in both architectures, beside the oracle."""
+    """What Verilator makes of every program, as every architecture, beside the oracle."""
     found = {a: {"programs": 0, "differing_seeds": [], "differing": []} for a in ARCHITECTURES}
     bits, watch = 0, stopwatch()
     for first in range(0, len(seeds), TOGETHER):
@@ -74,6 +76,22 @@ def hardware(seeds: range) -> dict:
     return found | {"bits_compared": bits, "seconds": watch(1)}
 
 
+def icarus(seeds: range) -> dict:
+    """What Icarus makes of every program, as every architecture, with and without pauses, beside the interpreter."""
+    found: dict = {a: {"programs": 0, "differing_seeds": []} for a in ARCHITECTURES}
+    watch = stopwatch()
+    for seed in seeds:
+        program = legal_program(seed, f"legal{seed}")
+        for architecture, told in found.items():
+            told["programs"] += 1
+            with scratch() as folder:
+                try:
+                    streamed(program, legal_codes(program, seed, STEPS), folder, Design(), architecture)
+                except AssertionError:
+                    told["differing_seeds"].append(seed)
+    return found | {"seconds": watch(1)}
+
+
 def scenario_of(program: Program, codes: np.ndarray) -> Scenario:
     """The answers of the oracle, not of an emulator."""
     want = perform(program, codes.tolist())
@@ -84,7 +102,8 @@ def main(
     *,
     first: Annotated[int, "the first seed; `make test` takes those from 0"] = 1000,
     programs: Annotated[int, "in interpreter and engine"] = 10_000,
-    designs: Annotated[int, "in Verilator, in each architecture"] = 300,
+    designs: Annotated[int, "in Verilator, as each architecture"] = 300,
+    others: Annotated[int, "in Icarus, as each architecture"] = 100,
 ) -> int:
     emulators = {
         "interpreter": lambda p, codes: interpret(p, codes, trace=True),
@@ -92,7 +111,8 @@ def main(
     }
     result = {"first_seed": first, "steps": STEPS, "emulators": emulated(range(first, first + programs), emulators)}
     result["hardware"] = hardware(range(first, first + designs))
+    result["icarus"] = icarus(range(first, first + others)) if shutil.which("iverilog") else {}
     store("random_programs", result)
     print(json.dumps(result, indent=1))
-    parts = (part for group in ("emulators", "hardware") for part in result[group].values())
+    parts = (part for group in ("emulators", "hardware", "icarus") for part in result[group].values())
     return int(any(part["differing_seeds"] for part in parts if isinstance(part, dict)))

@@ -53,7 +53,8 @@ class Formats:
     finer: bits that weights and the outputs of neurons have beyond the word. A network needs them if it integrates
     while its plant stands still, because then every step has the same rounding error and the errors add up. 16 + 2 bits
     are the width of an FPGA's multiplier.
-    tables: how tables are kept.
+    tables: how tables are kept. segments: the least of a table; a block RAM has room for many (1024 in Xilinx 7 and
+    ECP5), and the shorter a segment, the less logic does its line take.
     margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
     signals: formats that the user (or a search) fixes, by signal name. weights: significant bits of the weights of a
     sum instead of the word's, by the name of the sum's signal, which a search fixes. keep: significant bits in which a
@@ -72,6 +73,7 @@ class Formats:
     interpolated: bool = True
     tables: Form = Form.POINTS
     table_budget: float = 1.25
+    segments: int = 8
     horizon: int = 10_000
     signals: Mapping[str, Fix] = field(default_factory=dict)
     weights: Mapping[str, int] = field(default_factory=dict)
@@ -336,7 +338,7 @@ class _Quantizer:
             if layer.function.steep and self.ranges[pre].low < LEAST_CODES * fix.lsb:
                 raise InputError(self._too_wide(pre, fix))
             form = Form.OCTAVES if layer.function.steep else f.tables
-            table = make_table(layer.activation, fix, out.fix, f.table_budget, f.interpolated, form)
+            table = make_table(layer.activation, fix, out.fix, f.table_budget, f.interpolated, form, f.segments)
             key = (table.function, table.arg, table.out)
             self.tables.setdefault(key, table)
             self.operations.append(Lookup(out, pre, table.name))

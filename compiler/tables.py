@@ -56,17 +56,25 @@ class Form(StrEnum):
 
 @lru_cache(maxsize=256)
 def make_table(
-    function: str, arg: Fix, out: Fix, budget: float = 1.25, interpolated: bool = True, form: Form = Form.POINTS
+    function: str,
+    arg: Fix,
+    out: Fix,
+    budget: float = 1.25,
+    interpolated: bool = True,
+    form: Form = Form.POINTS,
+    segments: int = 8,
 ) -> Table | Lines:
     """The smallest table whose worst error over every code of `arg` is at most `budget` LSB of `out`.
 
+    segments: the least between points, unless the argument has fewer codes; a power of two.
     The error is that of the table, without rounding of the argument. Where f is 1, `out` is one LSB too small, and this
     counts. If no table of up to 4096 points meets the budget, it takes the largest, whose worst error shows this.
     """
     reach = min(arg.width - 1, integer_bits(flat_from(function, out)) + arg.frac)  # codes that differ: below 2^reach
     if form is not Form.POINTS and interpolated:
         return _lines(function, arg, out, budget, form, reach)
-    for bits in range(min(3, reach), min(reach, LARGEST_BITS) + 1):
+    least = segments.bit_length() - 1
+    for bits in range(min(least, reach), min(reach, LARGEST_BITS) + 1):
         table = _table(function, arg, out, reach - bits, bits, interpolated)
         if _worst(table, _spread(reach)) <= budget * out.lsb:
             break

@@ -98,7 +98,8 @@ class _Tabulator:
     def lines(table: Lines) -> list[int]:
         """Four numbers of each octave: least code, first segment, shift, drop; then base and slope of each segment."""
         s = table.segments
-        octaves = zip(s.lefts, s.firsts, s.shifts, s.drops, strict=True)
+        lefts = [min(left, 1 << ACCUMULATOR_BITS) for left in s.lefts]  # no code has so many bits
+        octaves = zip(lefts, s.firsts, s.shifts, s.drops, strict=True)
         words = zip(s.bases, s.slopes, strict=True)
         return [n for part in (octaves, words) for row in part for n in row]
 

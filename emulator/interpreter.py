@@ -63,7 +63,8 @@ def _nearest(table: Table, x: np.ndarray) -> np.ndarray:
 
 def _on_lines(s: Segments, x: np.ndarray) -> np.ndarray:
     """The line of the segment of |x| at the place of |x|."""
-    lefts, firsts, shifts, drops = (np.array(part, np.int64) for part in (s.lefts, s.firsts, s.shifts, s.drops))
+    begins = [min(left, 1 << ACCUMULATOR_BITS) for left in s.lefts]  # no code has so many bits
+    lefts, firsts, shifts, drops = (np.array(part, np.int64) for part in (begins, s.firsts, s.shifts, s.drops))
     bases, slopes, last = np.array(s.bases, np.int64), np.array(s.slopes, np.int64), len(s.bases) - 1
     m = np.where(x < 0, ~x, x)
     o = np.searchsorted(lefts[1:], m, side="right")

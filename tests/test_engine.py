@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import test_compiler
 from legal_programs import legal_codes, legal_program
+from oracle import perform
 from programs import cylinder_program, random_codes, random_program
 
 from greygate.emulator import engine, lanes
@@ -136,3 +137,11 @@ def test_no_layout_of_the_inputs_compiles_a_second_time():
         np.testing.assert_array_equal(run(program, given).outputs, want)
         np.testing.assert_array_equal(run(program, given[3], run(program, given[3]).states[0]).outputs.shape, (8, 2))
     assert [len(kernel.signatures) for kernel in kernels] == compiled
+
+
+def test_octaves_beyond_every_code_change_nothing():
+    program = legal_program(1269)  # 48 octaves, the first of them of 2^38 codes
+    assert any(max(t.segments.lefts) > 1 << 64 for t in program.tables)
+    codes = legal_codes(program, 1269, 20)
+    np.testing.assert_array_equal(run(program, codes).outputs, perform(program, codes.tolist()).outputs)
+    agree(program, codes)

@@ -44,7 +44,7 @@ module tb;
             if (answer !== wanted[o]) bad <= bad + 1;
             o <= o + 1;
         end
-        if (o > {last} || clocks > 99999) begin
+        if (o > {last} || clocks > 999999) begin
             $display("steps %0d bad %0d clocks %0d", o, bad, clocks);
             $finish;
         end

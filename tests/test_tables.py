@@ -81,11 +81,17 @@ def odd(**changes) -> Lines:
     return Lines("odd", "any", parts.pop("symmetry", Symmetry.ODD), **parts)
 
 
+BASES, SLOPES = (3, 60, 500, -70, -300, 900, 640, 200, 33, 5), (9, -8, 40, 7, -6, 15, -14, 0, -31, 2)
+
+
 def every_kind() -> list[Table | Lines]:
     cases = [("tansig", Fix(13, 8), Fix(10, 9)), ("logsig", Fix(12, 7), Fix(9, 8)), ("radbas", Fix(11, 7), Fix(9, 8))]
     made = [make_table(*case, 1.25, form=form) for case in cases for form in Form]
     made += [make_table("tansig", Fix(8, 4), Fix(7, 6), 1.25, interpolated=False)]
     made += [odd(), odd(symmetry=Symmetry.EVEN), odd(symmetry=Symmetry.COMPLEMENT), odd(guard=0, slope_frac=0)]
+    cases = [("tansig", Fix(10, 7), Fix(9, 8)), ("radbas", Fix(9, 5), Fix(9, 8)), ("logsig", Fix(9, 5), Fix(9, 8))]
+    made += [make_table(*case, segments=128) for case in cases]  # products of few bits
+    made += [odd(guard=0, shifts=(2, 3, 3), drops=(0, 1, 1), bases=BASES, slopes=SLOPES)]
     return made
 
 
@@ -141,3 +147,12 @@ def test_the_hardware_answers_every_code_as_the_program_says(memory, tmp_path):
     blocks = [rtl.block(name) for name in ("greygate_lookup", "greygate_product")]
     wrong = simulate([*files, *blocks], bench(tables, modules), data)
     assert dict(zip(modules, wrong, strict=True)) == dict.fromkeys(modules, 0)
+
+
+def test_a_table_of_more_segments_has_shorter_ones_and_errs_no_more():
+    arg, out = Fix(13, 10), Fix(12, 11)
+    few, many = make_table("tansig", arg, out), make_table("tansig", arg, out, segments=1024)
+    assert (few.entries, few.shift) == (129, 5)
+    assert (many.entries, many.shift) == (1025, 2)
+    assert many.worst_error < few.worst_error
+    assert make_table("tansig", Fix(8, 5), out, segments=1024).shift == 0  # no more than there are codes

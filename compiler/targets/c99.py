@@ -172,7 +172,8 @@ def _lookup_function(t: Table | Lines, name: str) -> Text:
         yield from _constants(f"{name}_points", t.points)
         context["last"] = len(t.points) - 1
     else:
-        parts = ("left", s.lefts), ("first", s.firsts), ("shift", s.shifts), ("drop", s.drops)
+        lefts = [min(left, 1 << ACCUMULATOR_BITS) for left in s.lefts]  # no code has so many bits
+        parts = ("left", lefts), ("first", s.firsts), ("shift", s.shifts), ("drop", s.drops)
         for part, values in (*parts, ("base", s.bases), ("slope", s.slopes)):
             yield from _constants(f"{name}_{part}", values)
         context["last"], (context["lower"], context["upper"]) = len(s.bases) - 1, map(number, s.halves)
