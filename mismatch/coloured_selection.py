@@ -18,7 +18,7 @@ from greygate.mismatch.evidence import unseen
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY, beginnings
 from greygate.mismatch.search import ROUGH, Hypothesis, Score, Search
-from greygate.mismatch.selection import Found, Selection
+from greygate.mismatch.selection import Found, Selection, forms
 from greygate.progress import Progress, cut, silent
 
 EFFECTS = 4  # in a hypothesis, at most
@@ -54,8 +54,17 @@ class ColouredSelection(Selection):
     def searched(self) -> Found:
         best, fit = self.forward(Hypothesis(), self.plain, self.plain)
         best, fit = self.backward(*self.among_kin(best, fit))
+        if best.size and static(self.search):
+            best, fit = self.backward(*self.forward(best, *[self._sharper(best, fit)] * 2))
         self._beside(best, fit)
         return Found(best, fit, fit, self)
+
+    def _sharper(self, best: Hypothesis, fit: Fit) -> Fit:
+        """The fit of the best, and every other one, where only what it leaves makes neighbours alike."""
+        likelihood = coloured_likelihood(fit).alike(fit.likelihood.residual(fit.values))
+        self.fits = {h: self.search.fit(likelihood, h, f.values, enough=ROUGH) for h, f in self.fits.items()}
+        self.plain, self.runs = self.fits[Hypothesis()], {}
+        return self.fits[best]
 
     def _beside(self, best: Hypothesis, fit: Fit) -> None:
         """Fit in full what comes as near to the recording as the best: it may be a rival."""
@@ -102,7 +111,8 @@ class ColouredSelection(Selection):
         """Whether a term leaves far less of the squared error than what is named, on blocks not learnt from."""
         if closed is None or share <= 0.0:
             return False
-        return Judge(closed.likelihood).total(closed) <= FAR_LESS * Judge(named.likelihood).total(named)
+        left = (Judge(fit.likelihood).total(fit, exact=True) for fit in (closed, named))
+        return next(left) <= FAR_LESS * next(left)
 
     def explained(self, found: Found, calibrated: Fit) -> float:
         """The share of the squared error in free run that is removed, in the mean over channels."""
@@ -197,7 +207,31 @@ class ColouredSelection(Selection):
         """The same with earlier effects replaced by others that do better now that the last one is there."""
         for drop in best.effects[:-1]:
             best, current = self._replaced(best, current, drop, lambda plain, rare: plain)
+        return self._in_form(best, current)
+
+    def _in_form(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
+        """The same with the effect that was added last in another of its forms, which begins where that one ended.
+
+        A richer form may fit badly from its own guesses and well from what the plainest has found.
+        """
+        quick, kept = quicker(_white(current), current.values), None
+        while kept != best:
+            kept = best
+            for other, values in forms(self.search, best, current.values, best.effects[-1:]):
+                if not self.search.skips(other):
+                    self._begun(quick, other, values)
+                    best, current = self._better(best, current, current, other, self.runs[other])
         return best, current
+
+    def _better(
+        self, best: Hypothesis, current: Fit, start: Fit, other: Hypothesis, rough: Fit
+    ) -> tuple[Hypothesis, Fit]:
+        """The other hypothesis, of the run `rough`, fitted from `start` on; the best one where it does no better."""
+        here = self.run(best, current)
+        if set(other.effects) == set(best.effects) or rough.cost + _price(rough, here) > here.cost:
+            return best, current
+        fit = self.fits[other] = self.fitted(start, other, rough.values)
+        return (other, fit) if fit.cost + _price(fit, current) < current.cost else (best, current)
 
     def among_kin(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
         """The same with any replaced by a rare one that acts where it acts, as a late channel by its sensor's lag."""
@@ -219,12 +253,7 @@ class ColouredSelection(Selection):
         others = [s for s in of(*self.promising(without, less, EXCHANGED)) if s.hypothesis.effects]
         others = [s for s in others if less.plus(s.hypothesis) not in self.fits]
         for hypothesis, rough in self._rough(less, without, others):
-            here = self.run(best, current)
-            if set(hypothesis.effects) == set(best.effects) or rough.cost + _price(rough, here) > here.cost:
-                continue
-            other = self.fits[hypothesis] = self.fitted(without, hypothesis, rough.values)
-            if other.cost + _price(other, current) < current.cost:
-                best, current = hypothesis, other
+            best, current = self._better(best, current, without, hypothesis, rough)
         return best, current
 
     def _kin(self, key: str) -> list[str]:
@@ -285,10 +314,21 @@ def selected(search: Search, progress: Progress = silent) -> Selection:
     return Selection(search, search.screen, search.base(search.screen), progress)
 
 
+def static(search: Search) -> bool:
+    """Whether the plant stores nothing: its outputs are sums of what acts now."""
+    return not search.rig.plant.states
+
+
 def _calibrated(search: Search) -> Fit:
-    """The fit of the plant without effects, and of the noise that this leaves."""
+    """The fit of the plant without effects, and of the noise that this leaves.
+
+    Where nothing is stored, each sample has its own error, and an autoregression would pass over all that is slow.
+    """
     nothing = Hypothesis()
     fit = search.led(search.fit(search.final, nothing, drawn(search, search.final, nothing, {})))
+    if static(search):
+        likelihood = coloured_likelihood(fit).alike(fit.likelihood.residual(fit.values))
+        return search.fit(likelihood, nothing, fit.values)
     for _ in range(ORDERINGS):
         likelihood = coloured_likelihood(fit).ordered(fit.likelihood.residual(fit.values))
         fit = search.fit(likelihood, nothing, fit.values)
