@@ -18,7 +18,7 @@ from greygate.mismatch.evidence import unseen
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY, beginnings
 from greygate.mismatch.search import ROUGH, Hypothesis, Score, Search
-from greygate.mismatch.selection import Found, Selection, forms
+from greygate.mismatch.selection import PART, Found, Selection, forms
 from greygate.progress import Progress, cut, silent
 
 EFFECTS = 4  # in a hypothesis, at most
@@ -52,19 +52,37 @@ class ColouredSelection(Selection):
     # -- what a diagnosis asks ---------------------------------------------------------------------------------------
 
     def searched(self) -> Found:
+        alike = self._misled()
+        if alike:
+            self._alike(self.plain)
         best, fit = self.forward(Hypothesis(), self.plain, self.plain)
         best, fit = self.backward(*self.among_kin(best, fit))
-        if best.size and static(self.search):
-            best, fit = self.backward(*self.forward(best, *[self._sharper(best, fit)] * 2))
+        if best.size and alike:
+            self._alike(fit)
+            best, fit = self.backward(*self.forward(best, self.fits[best], self.fits[best]))
         self._beside(best, fit)
         return Found(best, fit, fit, self)
 
-    def _sharper(self, best: Hypothesis, fit: Fit) -> Fit:
-        """The fit of the best, and every other one, where only what it leaves makes neighbours alike."""
+    def _misled(self) -> bool:
+        """Whether noise with a memory undoes most of what the best effect removes of the run's error.
+
+        It passes over all that is slow, and where a plant forgets soon, what is missing is as slow as what drives it.
+        """
+        nothing = Hypothesis()
+        found = self._rough(nothing, self.plain, self.promising(self.plain, nothing, TRIED)[0])
+        if not found:
+            return False
+        best, run = found[0]
+        fit = self.fits[best] = self.fitted(self.plain, best, run.values)
+        before, least, now = map(_squared, (self.run(nothing, self.plain), run, fit))
+        saved, kept = np.mean(1.0 - least / before), np.mean(1.0 - now / before)
+        return bool(saved > PART and kept < PART * saved)
+
+    def _alike(self, fit: Fit) -> None:
+        """Every fit anew, in which errors have no memory but count as seldom as those of `fit` have forgotten."""
         likelihood = coloured_likelihood(fit).alike(fit.likelihood.residual(fit.values))
         self.fits = {h: self.search.fit(likelihood, h, f.values, enough=ROUGH) for h, f in self.fits.items()}
         self.plain, self.runs = self.fits[Hypothesis()], {}
-        return self.fits[best]
 
     def _beside(self, best: Hypothesis, fit: Fit) -> None:
         """Fit in full what comes as near to the recording as the best: it may be a rival."""
@@ -314,21 +332,10 @@ def selected(search: Search, progress: Progress = silent) -> Selection:
     return Selection(search, search.screen, search.base(search.screen), progress)
 
 
-def static(search: Search) -> bool:
-    """Whether the plant stores nothing: its outputs are sums of what acts now."""
-    return not search.rig.plant.states
-
-
 def _calibrated(search: Search) -> Fit:
-    """The fit of the plant without effects, and of the noise that this leaves.
-
-    Where nothing is stored, each sample has its own error, and an autoregression would pass over all that is slow.
-    """
+    """The fit of the plant without effects, and of the noise that this leaves."""
     nothing = Hypothesis()
     fit = search.led(search.fit(search.final, nothing, drawn(search, search.final, nothing, {})))
-    if static(search):
-        likelihood = coloured_likelihood(fit).alike(fit.likelihood.residual(fit.values))
-        return search.fit(likelihood, nothing, fit.values)
     for _ in range(ORDERINGS):
         likelihood = coloured_likelihood(fit).ordered(fit.likelihood.residual(fit.values))
         fit = search.fit(likelihood, nothing, fit.values)
@@ -361,6 +368,11 @@ def quicker(likelihood: Coloured, values: Mapping[str, float]) -> Coloured:
 def _white(fit: Fit) -> Coloured:
     """The likelihood of `fit` with white noise as large as its residual."""
     return coloured_likelihood(fit).learnt(fit.likelihood.residual(fit.values), 0)
+
+
+def _squared(fit: Fit) -> np.ndarray:
+    """Mean squared errors of the run (channels,)."""
+    return np.mean(fit.likelihood.residual(fit.values) ** 2, axis=0) + TINY
 
 
 def _price(more: Fit, less: Fit) -> float:
