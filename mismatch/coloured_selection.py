@@ -7,6 +7,7 @@ of hypotheses, and it must also predict blocks of the recording that were held o
 import copy
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -305,12 +306,17 @@ class ColouredSelection(Selection):
         found: tuple[list[Score], list[Score]] = ([], [])
         for f in (fit, white):
             scores = self.search.scores(f.likelihood, f, given)
+            leading = list(takewhile(self._odd, scores))[:count]
             for rare, those in enumerate(found):
-                those += [s for s in scores if self._rare(s) is bool(rare)][:count]
+                those += [*leading, *(s for s in scores if self._rare(s) is bool(rare) and s not in leading)][:count]
         return found
 
     def _rare(self, score: Score) -> bool:
         return any(self.search.effects[key].rare for key in score.hypothesis.effects)
+
+    def _odd(self, score: Score) -> bool:
+        """Whether it is of a rare effect of the plant: such a one is tried first where it promises more than all."""
+        return self._rare(score) and not any(self.search.effects[key].fault for key in score.hypothesis.effects)
 
     def fitted(self, fit: Fit, hypothesis: Hypothesis, values: Mapping[str, float]) -> Fit:
         """The better of two fits from `values` on: with the noise of `fit`, and with white noise first."""

@@ -477,7 +477,8 @@ class Likelihood:
             u = symbols[at]
             value = values[u.symbol]
             size = (ways[at] if both else FINE if fine and np.isfinite(u.prior) else step) * u.scale
-            size = min(size, max(u.high - value, value - u.low), key=abs)
+            room = max(u.high - value, value - u.low, FINE * abs(u.scale))
+            size = float(np.clip(size, -room, room))
             size *= -1 if value + size > u.high else 1
             moved = rough.errors({**values, u.symbol: value + size}, shifts)
             inside = both and u.low <= value - size <= u.high
