@@ -127,13 +127,13 @@ class Fit:
         """Of the errors by the unknowns' numbers, less what the shifts explain (windows, rows, k)."""
         return self._slopes()
 
-    def _slopes(self, ways: Sequence[float] = ()) -> np.ndarray:
+    def _slopes(self, ways: np.ndarray | Sequence[float] = ()) -> np.ndarray:
         slopes = self.likelihood.slopes(
             self.unknowns, self.values, self.shifts, self.errors, self.temper, ways, roughly=self.roughly
         )
         return self.likelihood.eliminate(slopes, None, self.basis)[0]
 
-    def centred(self, ways: Sequence[float] | None = None) -> "Fit":
+    def centred(self, ways: np.ndarray | None = None) -> "Fit":
         """This fit, its slopes by differences to both sides: numbers that are known together only stay so in them.
 
         ways: of each number (k,) to either side; small ones if none.
@@ -656,7 +656,7 @@ class _Descent:
         far, near = (
             tame(self.point(self.at.numbers + s * way, self.at.shifts).errors - self.at.errors) for s in (1.0, LESS)
         )
-        return float(np.linalg.norm(near / LESS - far) / max(np.linalg.norm(far), TINY))
+        return float(np.linalg.norm(near / LESS - far)) / (float(np.linalg.norm(far)) + TINY)
 
     def step(self, linear: _Linear, damping: Decades, enough: float, fresh: bool) -> tuple[_Point, float] | None:
         """(the point that a step leads to, the gain of cost that the linear model promises of it).
