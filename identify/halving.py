@@ -303,11 +303,11 @@ class Halving:
 
         Where an output may rest anywhere, integrating ones alone: no others would know where it begins.
         """
-        found = [t.model.orders for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)]
+        found = [t.model.orders for t in self.lines()]
         found = [o for o in found if o.integrating] or found
         stay, drift = ([o for o in found if o.integrating is kind] for kind in (False, True))
         low = [[o for o in stay if o.order == order] for order in LOW]
-        return list(dict.fromkeys(o for of in (found, drift, stay, *low) for o in of[:1]))
+        return list(dict.fromkeys(o for of in (found, found[1:], drift, stay, *low) for o in of[:1]))
 
     def lengthen(self, ladder: Sequence[Model], strides: Sequence[int], delays: Sequence[tuple[int, ...]] = ()) -> None:
         """Try the linear models again where longer runs judge, longer windows train and an output may rest anywhere.
@@ -346,9 +346,8 @@ class Halving:
     def bases(self) -> list[Tried]:
         """The best linear models that differ in more than their delays, from which networks are grown."""
         found: dict[Orders, Tried] = {}
-        for tried in self.ranked():
-            if np.isfinite(tried.error) and tried.model.form == LINEAR:
-                found.setdefault(replace(tried.model.orders, delays=()), tried)
+        for tried in self.lines():
+            found.setdefault(replace(tried.model.orders, delays=()), tried)
         if not found:
             raise InputError("no linear model was finished in time, or every one diverges; give more --seconds")
         return list(found.values())[:BASES]
@@ -359,9 +358,15 @@ class Halving:
         What a linear model takes for a delay, or does without, a curve may explain.
         """
         found = [base.model.orders for base in self.bases()]
-        rich = [t.model.orders for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)]
-        rich = [o for o in rich if o.order == RICH and not any(o.delays)]
+        rich = [o for o in (t.model.orders for t in self.lines()) if o.order == RICH and not any(o.delays)]
         return list(dict.fromkeys([found[0], *rich, *found[1:], *self.spaces()]))
+
+    def lines(self) -> list[Tried]:
+        """Linear models that run, the best first; before it the one of fewest weights among those as good."""
+        found = [t for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)]
+        near = [t for t in found if t.error <= SIMPLER * found[0].error]
+        lean = min(near, key=lambda t: t.parameters, default=None)
+        return sorted(found, key=lambda t: t is not lean)
 
     def ranked(self) -> list[Tried]:
         return sorted(self.tried.values(), key=lambda t: (t.error, t.parameters))

@@ -18,6 +18,7 @@ from greygate.mismatch.fit import ENOUGH, ITERATIONS, Fit, Likelihood, Unknown
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.runs import along, whole
+from greygate.mismatch.scales import memory
 from greygate.progress import cut
 
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the autoregression, among which BIC chooses
@@ -39,9 +40,12 @@ class Coloured(Likelihood):
     """A likelihood whose noise is an autoregression in each channel.
 
     ar: coefficients of each channel (order,). scale: RMS of the innovations (channels,). mask: samples that count.
+    each: so many of them count as one, for those are alike.
     The autoregression forgets within MEMORY of the recording: slower errors are the plant's, not noise. Before the
     first sample the noise is 0, for there the plant begins.
     """
+
+    each = 1.0
 
     def __init__(self, model: Model):
         self.model = model
@@ -62,8 +66,8 @@ class Coloured(Likelihood):
         return len(self.ar[0])
 
     @property
-    def count(self) -> int:
-        return int(self.mask.sum()) * len(self.scale)
+    def count(self) -> float:
+        return self.mask.sum() * len(self.scale) / self.each
 
     @property
     def expected(self) -> float:
@@ -78,7 +82,7 @@ class Coloured(Likelihood):
         for i, (ar, scale) in enumerate(zip(self.ar, self.scale, strict=True)):
             by = np.concatenate(([1.0], -ar))
             out[:, i] = along(lambda part, by=by: lfilter(by, [1.0], part, axis=0), self.model.pieces, what[:, i])
-            out[:, i] /= scale
+            out[:, i] /= scale * np.sqrt(self.each)
         out[~self.mask] = 0.0
         return out
 
@@ -89,8 +93,15 @@ class Coloured(Likelihood):
         shrink = self.decay ** np.arange(1, order + 1)
         other.ar = [shrink * _regressed(r, order, self.mask, self.model.pieces) for r in residual.T]
         other.scale = np.ones(len(self.scale))
-        other.scale = np.sqrt(np.mean(other.white(residual)[self.mask] ** 2, axis=0)) + TINY
+        other.scale = np.sqrt(self.each * np.mean(other.white(residual)[self.mask] ** 2, axis=0)) + TINY
         return other
+
+    def alike(self, residual: np.ndarray) -> "Coloured":
+        """This likelihood with white noise as large as `residual` (samples, channels), where neighbours are alike."""
+        other = copy.copy(self)
+        forgotten = [memory(r[self.mask]) for r in residual.T]  # on either side; inf: it is noise
+        other.each = max(2.0 * min(forgotten), 1.0) if np.isfinite(min(forgotten)) else 1.0
+        return other.learnt(residual, 0)
 
     def without(self, held: np.ndarray) -> "Coloured":
         other = copy.copy(self)
@@ -99,12 +110,14 @@ class Coloured(Likelihood):
 
     def deviance(self) -> float:
         """-2 log likelihood of the innovations beyond their sum of squares, less a constant."""
-        return float(np.sum(2.0 * np.log(self.scale)) * self.mask.sum())
+        return float(np.sum(2.0 * np.log(self.scale)) * self.mask.sum() / self.each)
 
     def ordered(self, residual: np.ndarray) -> "Coloured":
-        """This likelihood with noise of the order that BIC chooses."""
+        """This likelihood with noise of the order that BIC chooses, in which each sample counts."""
+        other = copy.copy(self)
+        other.each = 1.0
         orders = [order for order in ORDERS if order < len(residual) / SAMPLES_EACH]
-        tried = [self.learnt(residual, order) for order in orders]
+        tried = [other.learnt(residual, order) for order in orders]
         return min(tried, key=lambda p: p.deviance() + len(p.ar) * p.order * np.log(p.count))
 
     def fit(

@@ -7,6 +7,7 @@ of hypotheses, and it must also predict blocks of the recording that were held o
 import copy
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from greygate.mismatch.evidence import unseen
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY, beginnings
 from greygate.mismatch.search import ROUGH, Hypothesis, Score, Search
-from greygate.mismatch.selection import Found, Selection
+from greygate.mismatch.selection import PART, Found, Selection, forms
 from greygate.progress import Progress, cut, silent
 
 EFFECTS = 4  # in a hypothesis, at most
@@ -52,10 +53,37 @@ class ColouredSelection(Selection):
     # -- what a diagnosis asks ---------------------------------------------------------------------------------------
 
     def searched(self) -> Found:
+        alike = self._misled()
+        if alike:
+            self._alike(self.plain)
         best, fit = self.forward(Hypothesis(), self.plain, self.plain)
         best, fit = self.backward(*self.among_kin(best, fit))
+        if best.size and alike:
+            self._alike(fit)
+            best, fit = self.backward(*self.forward(best, self.fits[best], self.fits[best]))
         self._beside(best, fit)
         return Found(best, fit, fit, self)
+
+    def _misled(self) -> bool:
+        """Whether noise with a memory undoes most of what the best effect removes of the run's error.
+
+        It passes over all that is slow, and where a plant forgets soon, what is missing is as slow as what drives it.
+        """
+        nothing = Hypothesis()
+        found = self._rough(nothing, self.plain, self.promising(self.plain, nothing, TRIED)[0])
+        if not found:
+            return False
+        best, run = found[0]
+        fit = self.fits[best] = self.fitted(self.plain, best, run.values)
+        before, least, now = map(_squared, (self.run(nothing, self.plain), run, fit))
+        saved, kept = np.mean(1.0 - least / before), np.mean(1.0 - now / before)
+        return bool(saved > PART and kept < PART * saved)
+
+    def _alike(self, fit: Fit) -> None:
+        """Every fit anew, in which errors have no memory but count as seldom as those of `fit` have forgotten."""
+        likelihood = coloured_likelihood(fit).alike(fit.likelihood.residual(fit.values))
+        self.fits = {h: self.search.fit(likelihood, h, f.values, enough=ROUGH) for h, f in self.fits.items()}
+        self.plain, self.runs = self.fits[Hypothesis()], {}
 
     def _beside(self, best: Hypothesis, fit: Fit) -> None:
         """Fit in full what comes as near to the recording as the best: it may be a rival."""
@@ -102,7 +130,8 @@ class ColouredSelection(Selection):
         """Whether a term leaves far less of the squared error than what is named, on blocks not learnt from."""
         if closed is None or share <= 0.0:
             return False
-        return Judge(closed.likelihood).total(closed) <= FAR_LESS * Judge(named.likelihood).total(named)
+        left = (Judge(fit.likelihood).total(fit, exact=True) for fit in (closed, named))
+        return next(left) <= FAR_LESS * next(left)
 
     def explained(self, found: Found, calibrated: Fit) -> float:
         """The share of the squared error in free run that is removed, in the mean over channels."""
@@ -197,7 +226,31 @@ class ColouredSelection(Selection):
         """The same with earlier effects replaced by others that do better now that the last one is there."""
         for drop in best.effects[:-1]:
             best, current = self._replaced(best, current, drop, lambda plain, rare: plain)
+        return self._in_form(best, current)
+
+    def _in_form(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
+        """The same with the effect that was added last in another of its forms, which begins where that one ended.
+
+        A richer form may fit badly from its own guesses and well from what the plainest has found.
+        """
+        quick, kept = quicker(_white(current), current.values), None
+        while kept != best:
+            kept = best
+            for other, values in forms(self.search, best, current.values, best.effects[-1:]):
+                if not self.search.skips(other):
+                    self._begun(quick, other, values)
+                    best, current = self._better(best, current, current, other, self.runs[other])
         return best, current
+
+    def _better(
+        self, best: Hypothesis, current: Fit, start: Fit, other: Hypothesis, rough: Fit
+    ) -> tuple[Hypothesis, Fit]:
+        """The other hypothesis, of the run `rough`, fitted from `start` on; the best one where it does no better."""
+        here = self.run(best, current)
+        if set(other.effects) == set(best.effects) or rough.cost + _price(rough, here) > here.cost:
+            return best, current
+        fit = self.fits[other] = self.fitted(start, other, rough.values)
+        return (other, fit) if fit.cost + _price(fit, current) < current.cost else (best, current)
 
     def among_kin(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
         """The same with any replaced by a rare one that acts where it acts, as a late channel by its sensor's lag."""
@@ -219,12 +272,7 @@ class ColouredSelection(Selection):
         others = [s for s in of(*self.promising(without, less, EXCHANGED)) if s.hypothesis.effects]
         others = [s for s in others if less.plus(s.hypothesis) not in self.fits]
         for hypothesis, rough in self._rough(less, without, others):
-            here = self.run(best, current)
-            if set(hypothesis.effects) == set(best.effects) or rough.cost + _price(rough, here) > here.cost:
-                continue
-            other = self.fits[hypothesis] = self.fitted(without, hypothesis, rough.values)
-            if other.cost + _price(other, current) < current.cost:
-                best, current = hypothesis, other
+            best, current = self._better(best, current, without, hypothesis, rough)
         return best, current
 
     def _kin(self, key: str) -> list[str]:
@@ -258,12 +306,17 @@ class ColouredSelection(Selection):
         found: tuple[list[Score], list[Score]] = ([], [])
         for f in (fit, white):
             scores = self.search.scores(f.likelihood, f, given)
+            leading = list(takewhile(self._odd, scores))[:count]
             for rare, those in enumerate(found):
-                those += [s for s in scores if self._rare(s) is bool(rare)][:count]
+                those += [*leading, *(s for s in scores if self._rare(s) is bool(rare) and s not in leading)][:count]
         return found
 
     def _rare(self, score: Score) -> bool:
         return any(self.search.effects[key].rare for key in score.hypothesis.effects)
+
+    def _odd(self, score: Score) -> bool:
+        """Whether it is of a rare effect of the plant: such a one is tried first where it promises more than all."""
+        return self._rare(score) and not any(self.search.effects[key].fault for key in score.hypothesis.effects)
 
     def fitted(self, fit: Fit, hypothesis: Hypothesis, values: Mapping[str, float]) -> Fit:
         """The better of two fits from `values` on: with the noise of `fit`, and with white noise first."""
@@ -321,6 +374,11 @@ def quicker(likelihood: Coloured, values: Mapping[str, float]) -> Coloured:
 def _white(fit: Fit) -> Coloured:
     """The likelihood of `fit` with white noise as large as its residual."""
     return coloured_likelihood(fit).learnt(fit.likelihood.residual(fit.values), 0)
+
+
+def _squared(fit: Fit) -> np.ndarray:
+    """Mean squared errors of the run (channels,)."""
+    return np.mean(fit.likelihood.residual(fit.values) ** 2, axis=0) + TINY
 
 
 def _price(more: Fit, less: Fit) -> float:

@@ -31,6 +31,7 @@ WARM_PART = 12  # but no more than such a part of a recording
 LOOSE = 50.0  # shifts of one scale by which a smoothed rate may be off where a window begins, RMS: all of its size
 FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times the noise before it counts
 STEP = 1e-3  # of the scale of an effect's number, for differences; it may act by steps of a signal
+COARSE = 2e-2  # the same where small ones only show how a run sticks and slips
 FINE = 1e-5  # likewise to both sides: the truncation of larger ones makes what is known together look known
 SLOPED = 0.05  # of a channel's spread: longer steps that change a run by less change its slopes hardly more
 SHIFTED = 0.1  # of a shift's scale, for differences
@@ -46,6 +47,8 @@ NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal d
 HALVINGS = 6  # of the way from the unknowns' origins to a start from which the run diverges
 ENOUGH = 0.05  # of cost, a twentieth of what noise alone makes of one parameter: a further step tells nothing more
 RIDGE = 1e-9  # added to the curvature of each number, far below a prior's: what does not act on the errors stays
+STEEPER, LEAP = 2.0, 10.0  # times a secant across a deviation: the slope that is not believed, and by which, at most,
+WIDENED = 6  # the deviation is then widened at a time; so often
 LESS = 0.1  # of a difference, that in a smooth run changes as much of the errors
 STRAIGHT_RUN = 0.01  # of the change of the errors, by which a tenth of it may be off in a run that is smooth
 STRAIGHT = 0.7  # share of the promised gain from which the linearisation still serves; a new one costs k + 1 runs
@@ -124,18 +127,23 @@ class Fit:
         """Of the errors by the unknowns' numbers, less what the shifts explain (windows, rows, k)."""
         return self._slopes()
 
-    def _slopes(self, both: bool = False) -> np.ndarray:
+    def _slopes(self, ways: np.ndarray | Sequence[float] = ()) -> np.ndarray:
         slopes = self.likelihood.slopes(
-            self.unknowns, self.values, self.shifts, self.errors, self.temper, both, roughly=self.roughly
+            self.unknowns, self.values, self.shifts, self.errors, self.temper, ways, roughly=self.roughly
         )
         return self.likelihood.eliminate(slopes, None, self.basis)[0]
 
-    def centred(self) -> "Fit":
-        """This fit, its slopes by differences to both sides: numbers that are known together only stay so in them."""
+    def centred(self, ways: np.ndarray | None = None) -> "Fit":
+        """This fit, its slopes by differences to both sides: numbers that are known together only stay so in them.
+
+        ways: of each number (k,) to either side; small ones if none.
+        """
         other = replace(self, roughly=False) if self.roughly else copy.copy(self)
         for name in ("normal", "information", "covariance"):
             vars(other).pop(name, None)
-        vars(other)["slopes"] = other._slopes(both=True)
+        vars(other)["slopes"] = other._slopes(
+            np.maximum(ways if ways is not None else 0.0, FINE) * np.ones(len(self.unknowns))
+        )
         return other
 
     @cached_property
@@ -238,12 +246,24 @@ class Fit:
 
     @cached_property
     def together(self) -> dict[str, float]:
-        """Standard deviation of every unknown's value, the data sheet's errors being those of one cause, if it may."""
-        fit = self.centred()
-        white = max(1.0, float(np.mean(fit.projected**2)))
-        found = deviations(fit.normal[0] / white, self.weight, np.sqrt(np.diag(fit.covariance)))
-        found = np.maximum(found, fit.spread())
+        """Standard deviation of every unknown's value, the data sheet's errors being those of one cause, if it may.
+
+        It is widened until the run changes across it as much as the slopes say. Where a run sticks and slips, slopes by
+        small differences are far steeper than it is over any way that counts.
+        """
+        found = self.centred()._deviations()
+        for _ in range(WIDENED):
+            across = self.centred(found)._deviations()
+            if not np.any(across > STEEPER * found):
+                break
+            found = np.maximum(found, np.minimum(across, LEAP * found))
         return {u.symbol: float(d * abs(u.scale)) for u, d in zip(self.unknowns, found, strict=True)}
+
+    def _deviations(self) -> np.ndarray:
+        """Standard deviation of each number (k,), the data sheet's errors being those of one cause, if it may."""
+        white = max(1.0, float(np.mean(self.projected**2)))
+        found = deviations(self.normal[0] / white, self.weight, np.sqrt(np.diag(self.covariance)))
+        return np.maximum(found, self.spread())
 
 
 def flattened(slopes: np.ndarray) -> np.ndarray:
@@ -436,30 +456,36 @@ class Likelihood:
         shifts,
         errors,
         temper,
-        both=False,
+        ways=(),
         fine=False,
         roughly=False,
+        step=STEP,
     ) -> np.ndarray:
         """Of `errors` by each unknown's number, (windows, rows, k), by differences to one side or, inside, to both.
 
-        fine: by small ones of the plant's own numbers. roughly: by runs in longer steps.
+        ways: of each number (k,), to both sides. fine: by small ones of the plant's own numbers. roughly: by runs in
+        longer steps. step: of the others' scales.
         """
         if not symbols:
             return np.zeros((self.windows, self.block * errors.shape[1], 0))
 
+        both = len(ways) > 0
         rough = self.rough() if roughly and not both else self
         base = errors if rough is self else rough.errors(values, shifts)
 
-        def slope(u: Unknown) -> np.ndarray:
+        def slope(at: int) -> np.ndarray:
+            u = symbols[at]
             value = values[u.symbol]
-            size = (FINE if both or (fine and np.isfinite(u.prior)) else STEP) * u.scale
+            size = (ways[at] if both else FINE if fine and np.isfinite(u.prior) else step) * u.scale
+            room = max(u.high - value, value - u.low, FINE * abs(u.scale))
+            size = float(np.clip(size, -room, room))
             size *= -1 if value + size > u.high else 1
             moved = rough.errors({**values, u.symbol: value + size}, shifts)
             inside = both and u.low <= value - size <= u.high
             before = rough.errors({**values, u.symbol: value - size}, shifts) if inside else base
             return self.rows(tame(moved - before) / ((2 if inside else 1) * size / u.scale), temper)
 
-        return np.stack(each(slope, symbols), axis=2)
+        return np.stack(each(slope, range(len(symbols))), axis=2)
 
     def fit(
         self,
@@ -523,6 +549,7 @@ class _Descent:
     both = False  # sides, to which slopes are taken
     roughly = True  # whether slopes are of runs in longer steps, for as long as those lead down
     fine: bool | None = None  # whether small differences of the plant's numbers serve, as soon as that is known
+    way = STEP  # of the differences of the others
 
     def __init__(self, likelihood: Likelihood, unknowns: Sequence[Unknown], values: Mapping, shifts: np.ndarray):
         self.likelihood, self.unknowns, self.fixed = likelihood, tuple(unknowns), dict(values)
@@ -561,7 +588,7 @@ class _Descent:
             linear = linear or self.linearised()
             found = self.step(linear, damping, enough, fresh)
             if found is None:
-                if final and self.sharpened():
+                if final and (self.sharpened() or self.coarsened()):
                     linear = None
                     continue
                 return True
@@ -572,7 +599,7 @@ class _Descent:
             gain, self.at = self.at.cost - point.cost, point
             damping.fall()
             if gain < max(enough, slack * (point.cost - self.likelihood.count)):
-                if not (final and self.sharpened()):
+                if not (final and (self.sharpened() or self.coarsened())):
                     return True
                 linear = None
                 continue
@@ -601,23 +628,35 @@ class _Descent:
         basis = likelihood.basis(values, at.shifts, at.errors, self.temper, roughly)
         if self.fine is None:
             self.fine = self.smooth()
+            if not self.fine:
+                self.coarsened()
+        ways = [FINE] * len(self.unknowns) if self.both else ()
         slopes = likelihood.slopes(
-            self.unknowns, values, at.shifts, at.errors, self.temper, self.both, self.fine, roughly
+            self.unknowns, values, at.shifts, at.errors, self.temper, ways, self.fine, roughly, self.way
         )
         slopes, explained = likelihood.eliminate(slopes, None, basis)
         flat = flattened(slopes)
         return _Linear(flat, explained, basis, flat.T @ flat)
 
-    def smooth(self) -> bool:
-        """Whether a tenth of a difference changes a tenth of the errors: no friction sticks, and nothing is lost."""
-        own = [np.isfinite(u.prior) for u in self.unknowns]
-        if self.likelihood.model.rig.window or not any(own):
+    def coarsened(self) -> bool:
+        """Whether differences become those across what sticks and slips, which they were not, and it does."""
+        if self.way == COARSE or not len(self.unknowns) or self.bent(np.ones(len(self.unknowns))) < 1.0:
             return False
-        way = STEP * np.where(self.at.numbers + STEP > self.high, -1.0, 1.0) * own
+        self.way, self.fine = COARSE, False
+        return True
+
+    def smooth(self) -> bool:
+        """Whether small differences of the plant's own numbers serve: no friction sticks, and nothing is lost."""
+        own = np.isfinite([u.prior for u in self.unknowns])
+        return not self.likelihood.model.rig.window and bool(any(own)) and self.bent(own) <= STRAIGHT_RUN
+
+    def bent(self, of: np.ndarray) -> float:
+        """By how much a tenth of a difference of the numbers `of` (k,) changes the errors unlike a tenth of that."""
+        way = STEP * np.where(self.at.numbers + STEP > self.high, -1.0, 1.0) * of
         far, near = (
             tame(self.point(self.at.numbers + s * way, self.at.shifts).errors - self.at.errors) for s in (1.0, LESS)
         )
-        return bool(np.linalg.norm(near / LESS - far) <= STRAIGHT_RUN * np.linalg.norm(far))
+        return float(np.linalg.norm(near / LESS - far)) / (float(np.linalg.norm(far)) + TINY)
 
     def step(self, linear: _Linear, damping: Decades, enough: float, fresh: bool) -> tuple[_Point, float] | None:
         """(the point that a step leads to, the gain of cost that the linear model promises of it).

@@ -45,6 +45,7 @@ UNMET = {
     "near_zero": "{} is never near zero",
     "often_high": "{} is never at rest at its highest",
     "often_low": "{} is never at rest at its lowest",
+    "goes_round": "{} never goes round once",
     "may_be_negative": "{} measures what cannot be negative",
     "never_negative": "{} goes below zero",
     "comes_down": "{} stays far above zero",
@@ -169,7 +170,7 @@ class Seen:
             "per_duration": lambda a, name: a / (dt * samples),
             "per_sample": lambda a, name: a / samples,
             "level": lambda a, name: np.quantile(self._some(name), a),
-            "size": lambda a, name: np.quantile(np.abs(self._some(name)), a) or SPECK * self._peak(name),
+            "size": lambda a, name: self._size(a, name),
             "speck": lambda a, name: SPECK * self._peak(name),
             "rate": lambda a, name: self._rate(a, name),
             "range": lambda a, name: a * np.ptp(self._some(name)) or a * self._peak(name),
@@ -187,6 +188,12 @@ class Seen:
 
     def _peak(self, name: str) -> float:
         return float(np.max(np.abs(self._some(name)))) or 1.0
+
+    def _size(self, quantile: float, name: str) -> float:
+        """That quantile of a signal's magnitudes; where it rests then, of those with which it moves."""
+        size, slow = np.abs(self._some(name)), SLOW * self._peak(name)
+        found = np.quantile(size, quantile)
+        return float(found if found >= slow else np.quantile(size[size >= slow], quantile))
 
     def _rate(self, quantile: float, name: str) -> float:
         """That quantile of the magnitudes of a signal's rate where it changes."""
@@ -261,6 +268,7 @@ class Seen:
             "near_zero": lambda s: _often(s, np.abs(s) < NEAR * np.max(np.abs(s))) or _often(s, s > 0, s < 0),
             "often_high": lambda s: np.sum(s >= s.max() - END * np.ptp(s)) > LEVELS and np.ptp(s) > 0,
             "often_low": lambda s: np.sum(s <= s.min() + END * np.ptp(s)) > LEVELS and np.ptp(s) > 0,
+            "goes_round": lambda s: np.ptp(s) > 2 * np.pi,
             "never_negative": lambda s: s.min() > -NEGATIVE * np.max(np.abs(s)),
             "comes_down": lambda s: s.min() < np.max(s) / 2,
             "several_levels": lambda s: len(np.unique(np.abs(s))) > LEVELS,

@@ -21,6 +21,7 @@ ROWS = (0, 1, 2, 3)  # adders between two registers; 0: no register
 STEPS = 30
 
 
+@pytest.mark.nightly
 def test_registers_between_adders_change_no_bit(tmp_path):
     cases = []
     for seed in SEEDS:

@@ -121,7 +121,7 @@ def test_every_compiler_at_every_level_gives_the_same_bits(compiler, level, tmp_
     agree(program, legal_codes(program, 3, STEPS), tmp_path, compiler, level)
 
 
-@pytest.mark.parametrize("name", REPORTED)
+@pytest.mark.parametrize("name", [REPORTED[0], *(pytest.param(n, marks=pytest.mark.nightly) for n in REPORTED[1:])])
 def test_a_machine_of_the_thesis_gives_the_same_bits(name, tmp_path):
     compile_project(Source(name), tmp_path / "build", architectures=("c99",))
     project = Project.open(tmp_path / "build")

@@ -172,6 +172,7 @@ def test_every_entry_of_a_table_of_effects_is_of_its_kind_or_refused(rig, record
     assert refused > 900
 
 
+@pytest.mark.nightly
 def test_every_entry_of_a_diagnosis_is_of_its_kind_or_refused(rig, recording):
     path, slide = rig / "diagnosis.json", load(rig)
     (rig / "effects.toml").write_text(tomli_w.dumps({"hose": EFFECTS["hose"]}))

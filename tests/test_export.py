@@ -351,6 +351,7 @@ def test_the_simulation_of_fusesoc_fails_where_a_bit_differs(project, tmp_path):
     assert "FAIL: step 20" in done.stdout + done.stderr
 
 
+@pytest.mark.nightly
 def test_the_bench_in_cocotb_passes_and_fails_as_it_should(project, tmp_path):
     """In one folder, so that the second run finds the simulation built."""
     folder = tmp_path / "core"

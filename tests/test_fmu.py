@@ -319,6 +319,7 @@ def test_an_fmu_for_co_simulation_moves_as_fmpy_moves_it(tmp_path, version):
         slave.step(DT)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("late", "gain", "name"), [(5, 1.0, "input_delay"), (0, 1.0, "")])
 def test_what_precedes_an_fmu_for_co_simulation_is_named(tmp_path, late, gain, name):
     written(tmp_path, kind="CoSimulation")

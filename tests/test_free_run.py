@@ -85,6 +85,7 @@ def test_nothing_is_missing_where_the_pendulum_was_let_go_at_rest(tmp_path):
     assert high > 0.021
 
 
+@pytest.mark.nightly
 def test_dry_friction_and_the_drag_of_the_air_are_both_named(tmp_path):
     found = diagnose(rig(tmp_path, viscous=2e-4, dry=1.5e-3, drag=8e-4)).as_dict()
     assert {e["id"] for e in found["effects"]} == {"dry_friction", "square_damping"}
@@ -92,6 +93,7 @@ def test_dry_friction_and_the_drag_of_the_air_are_both_named(tmp_path):
     assert held["corrected"] < 0.1 * held["calibrated"]
 
 
+@pytest.mark.nightly
 def test_four_lost_samples_are_found(tmp_path):
     found = diagnose(rig(tmp_path, lost=4)).as_dict()
     assert [e["id"] for e in found["effects"]] == ["lost_samples"]

@@ -80,6 +80,7 @@ def test_a_linear_plant_keeps_a_linear_model(short):
     assert 0.8 * NOISE < low < high < 1.2 * NOISE
 
 
+@pytest.mark.nightly
 def test_the_search_comes_out_the_same_however_many_trainings_run_side_by_side(short):
     one, two = (figures(found(recorded(1, gap=0.4), jobs=jobs)) for jobs in (1, 2))
     assert one["chosen"] | {"seconds": 0} == two["chosen"] | {"seconds": 0}

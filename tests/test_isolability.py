@@ -258,6 +258,7 @@ def test_a_diagnosis_says_so_where_no_experiment_tells_its_alternatives_apart(bl
 # -- the command -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_the_command_prints_groups_and_remedies_and_gives_them_as_json(blind, drums, greygate):
     code, printed, _ = greygate("isolability", blind)
     assert code == 0
@@ -272,6 +273,7 @@ def test_the_command_prints_groups_and_remedies_and_gives_them_as_json(blind, dr
     assert drums.as_dict()["groups"][0]["experiment"]["inputs"]["x_drum"]["unit"] == "m"
 
 
+@pytest.mark.nightly
 def test_before_data_motions_by_rule_stand_for_the_recording(blind, tmp_path, greygate):
     for name in ("rig.toml", "linear_motor.toml", "effects.toml"):
         (tmp_path / name).write_text((blind / name).read_text())

@@ -68,6 +68,7 @@ def test_noise_is_learnt_and_forgets_within_its_share_of_the_recording(tanks):
     assert np.abs(np.roots(np.r_[1.0, -likelihood.ordered(slow).ar[0]])).max() < np.exp(-1 / (0.02 * 1024)) * 1.001
 
 
+@pytest.mark.nightly
 def test_overflow_of_the_tanks_is_not_claimed_where_a_sensor_offset_is_the_alternative(tanks):
     known = table.known(tanks, tanks.recording(tanks.folder / "identify.csv"))
     found = diagnose(tanks, effects={key: known[key] for key in ("upper_overflow", "sensor_offset")}).as_dict()

@@ -46,6 +46,7 @@ def test_a_choice_of_options_is_answered_as_by_onnxruntime_or_refused(opset, tmp
     assert len(found["right"]) > 10
 
 
+@pytest.mark.nightly
 def test_a_node_test_of_the_onnx_package_is_answered_as_by_onnxruntime_or_refused(tmp_path):
     found = {}
     carried = (c for c in node_cases() if {n.op_type for n in c.model.graph.node} <= FUNCTIONS.keys())

@@ -66,6 +66,7 @@ def folder(tmp_path_factory):
     return place
 
 
+@pytest.mark.nightly
 def test_effects_of_a_model_are_alike_where_they_are_and_apart_else(folder):
     """The sine of an unbalance is what the released inertia does: that makes it like no other effect."""
     code, printed, _ = greygate("isolability", folder / "arm", "--json")

@@ -259,6 +259,7 @@ def test_a_run_ends_at_the_sample_at_which_a_state_leaves_the_finite_numbers():
         under_way.step({"u": u[3]})
 
 
+@pytest.mark.nightly
 def test_terms_that_are_off_cost_nothing_and_count_when_they_come_on():
     """Nine terms, one more than a block holds; each alone adds what a plant has that always has it."""
     terms = {f"on_{i}": f"when(abs(on_{i}), on_{i} * x**{i})" for i in range(9)}

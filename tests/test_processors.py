@@ -26,7 +26,9 @@ ROOT = Path(__file__).parents[1]
 EPS = np.finfo(float).eps
 
 
-@pytest.mark.parametrize("network", ["b2 pruned", "emps"], ids=["pruned", "measured"])
+@pytest.mark.parametrize(
+    "network", ["b2 pruned", pytest.param("emps", marks=pytest.mark.nightly)], ids=["pruned", "measured"]
+)
 def test_builds_are_the_same_bytes_under_other_kernels_of_blas_and_numpy(network):
     try:
         entry(network.partition(" ")[0]).records()

@@ -412,6 +412,7 @@ def test_a_rig_has_its_recordings_itself():
 # -- what others made ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_an_environment_of_gymnasium_with_drag_inside_is_explained():
     pytest.importorskip("gymnasium", reason="pip install gymnasium")
     from gymnasium.envs.classic_control.pendulum import PendulumEnv

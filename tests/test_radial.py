@@ -42,6 +42,7 @@ def test_a_radial_network_is_gaussians_of_distance():
     np.testing.assert_allclose(network.run({"u": u})["y"], want, rtol=1e-12)
 
 
+@pytest.mark.nightly
 def test_derivatives_of_a_radial_network_in_a_loop_are_those_of_torch():
     rng = np.random.default_rng(1)
     network = radial("r", *TAPS, rng.uniform(-1, 1, (4, 3)), 1.5).with_parameters(

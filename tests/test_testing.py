@@ -36,6 +36,7 @@ def session(pytester, compiled):
     return pytester
 
 
+@pytest.mark.nightly
 def test_a_session_passes_and_fails_where_it_should(session):
     session.makepyfile(OURS)
     done = session.runpytest_subprocess("-p", "no:cacheprovider")

@@ -47,6 +47,7 @@ def changes(path):
     return [*found, now]
 
 
+@pytest.mark.nightly
 def test_the_waveform_holds_the_named_signal_in_the_step_that_differs(spoilt, greygate):
     code, out, error = greygate("verify", spoilt, "--seed", SEED, "--as-is", "--json")
     found = json.loads(out)

@@ -1,0 +1,176 @@
+"""Effects that machines on a desk have, named where the noise is not told: play, overflow, poles, hysteresis."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from small_plants import write
+
+from greygate.mismatch.coloured import Coloured
+from greygate.mismatch.diagnose import diagnose
+from greygate.mismatch.rig import load
+from greygate.mismatch.seen import Seen
+from greygate.mismatch.verdict import Verdict
+
+DRIVE = """step = 1e-3
+outputs = ["q_m", "q_l"]
+inputs = { u = "N m" }
+[parameters]
+J_m = [4e-3, "kg m^2", 0.0, "motor"]
+J_l = [9e-3, "kg m^2", 0.0, "load"]
+k = [36.0, "N m/rad", 0.2, "coupling"]
+d = [0.05, "N m s/rad", 0.5, "coupling"]
+[states]
+q_m = { unit = "rad", rate = "w_m" }
+w_m = { unit = "rad/s" }
+q_l = { unit = "rad", rate = "w_l" }
+w_l = { unit = "rad/s" }
+[definitions]
+coupling.torque = { unit = "N m", spring = "k * (q_m - q_l)", loss = "d * (w_m - w_l)" }
+[equations]
+way_m.q_m = { speed = "w_m" }
+way_l.q_l = { speed = "w_l" }
+motor.w_m = { storage = "J_m", drive = "u", shaft = "-torque", bearing = "-0.02 * w_m" }
+load.w_l = { storage = "J_l", shaft = "torque", bearing = "-0.04 * w_l", spring = "-0.8 * q_l" }
+"""
+TANK = """step = 0.2
+outputs = ["h"]
+inputs = { u = "m^3/s" }
+[parameters]
+area = [0.018, "m^2", 0.03, "tank"]
+k_out = [2e-4, "m^(5/2)/s", 0.1, "outlet"]
+[states]
+h = { unit = "m", initial = 0.1, low = 0.0 }
+[equations]
+level.h = { storage = "area", inflow = "u", outflow = "-k_out * sqrt(max(h, 0))" }
+"""
+ROTOR = """step = 1e-3
+outputs = ["q"]
+inputs = { u = "N m" }
+[parameters]
+J = [3.2e-4, "kg m^2", 0.1, "rotor"]
+b = [1e-3, "N m s/rad", 0.3, "bearing"]
+[states]
+q = { unit = "rad", rate = "w" }
+w = { unit = "rad/s" }
+[equations]
+way.q = { speed = "w" }
+motion.w = { storage = "J", torque = "u", bearing = "-b * w" }
+"""
+DAMPER = """outputs = ["F"]
+inputs = { x = "m", v = "m/s" }
+[parameters]
+k = [1100.0, "N/m", 0.2, "spring"]
+c = [200.0, "N s/m", 0.3, "oil"]
+[derived]
+v = "smooth_rate x"
+[definitions]
+damper.F = { unit = "N", spring = "k * x", oil = "c * v" }
+"""
+
+
+def levels(random, samples: int, low: float, high: float, hold: tuple[int, int]) -> np.ndarray:
+    found, k = np.empty(samples), 0
+    while k < samples:
+        k, begun = k + int(random.integers(*hold)), k
+        found[begun:k] = random.uniform(low, high)
+    return found
+
+
+def run(rates, start, inputs: np.ndarray, dt: float) -> np.ndarray:
+    """States (samples, n) of x' = rates(x, u), of held inputs."""
+    x, found = np.array(start, float), []
+    for u in inputs:
+        found.append(x)
+        x = solve_ivp(lambda t, x, u=u: rates(x, u), (0, dt), x, rtol=1e-7, atol=1e-9).y[:, -1]
+    return np.array(found)
+
+
+def play(random):
+    dt, u = 0.004, levels(random, 900, -1.2, 1.2, (20, 100))
+
+    def rates(x, u):
+        apart = x[0] - x[2]
+        torque = 40 * np.sign(apart) * max(abs(apart) - 0.03, 0) + 0.05 * (x[1] - x[3]) * (abs(apart) > 0.03)
+        return [x[1], (u - torque - 0.02 * x[1]) / 4e-3, x[3], (torque - 0.04 * x[3] - 0.8 * x[2]) / 9e-3]
+
+    x = run(rates, [0, 0, 0, 0], u, dt)
+    return DRIVE, dt, {"u": u}, {"q_m": x[:, 0], "q_l": x[:, 2]}
+
+
+def overflow(random):
+    dt, u = 2.0, levels(random, 600, 2e-5, 1.9e-4, (20, 70))
+    x = run(lambda x, u: [(u - 2.1e-4 * np.sqrt(max(x[0], 0)) - 2e-3 * max(x[0] - 0.28, 0)) / 0.018], [0.1], u, dt)
+    return TANK, dt, {"u": u}, {"h": x[:, 0]}
+
+
+def poles(random):
+    dt, u = 0.005, levels(random, 800, -0.03, 0.03, (40, 160))
+    x = run(lambda x, u: [x[1], (u - 1e-3 * x[1] - 8e-3 * np.sin(7 * x[0])) / 3e-4], [0, 0], u, dt)
+    return ROTOR, dt, {"u": u}, {"q": x[:, 0]}
+
+
+def hysteresis(random):
+    dt, t = 0.002, np.arange(2000) * 0.002
+    x = 0.02 * np.sin(2 * np.pi * t) * np.sin(0.7 * t + 1) + 0.006 * np.sin(14.5 * t + 1)
+    v, bent = np.gradient(x, dt), np.zeros(len(t))
+    for k in range(1, len(t)):
+        bent[k] = bent[k - 1] + dt * v[k] * (1 - np.sign(v[k]) * bent[k - 1] / 3e-3)
+    return DAMPER, dt, {"x": x + 3e-6 * random.standard_normal(len(t))}, {"F": 250 * bent / 3e-3 + 1200 * x + 180 * v}
+
+
+CASES = {
+    play: ("play_between", "play_q_m_q_l", 0.03),
+    overflow: ("leak", "leak_h_level", 0.28),
+    poles: ("cogging", "cogging_q", 8e-3),
+    hysteresis: ("dry_friction", "f_v_yield", 3e-3),
+}
+
+
+UNITS = {"q_m": "rad", "q_l": "rad", "h": "m", "q": "rad", "x": "m", "F": "N", "w": "rad/s"}
+
+
+def rig_of(folder, of, noise: float = 1e-4):
+    """The rig of a case. noise: RMS in parts of a channel's range, and not told."""
+    random = np.random.default_rng(4)
+    plant, dt, inputs, outputs = of(random)
+    noisy = {n: y + noise * np.ptp(y) * random.standard_normal(len(y)) for n, y in outputs.items()}
+    known = tomllib.loads(plant)["parameters"]
+    units = UNITS | {"u": "m^3/s" if of is overflow else "N m"}
+    channels = {n: (units[n], "input", None, y) for n, y in inputs.items()}
+    channels |= {n: (units[n], "output", None, y) for n, y in noisy.items()}
+    tolerance = {s: p[2] for s, p in known.items() if p[2]}
+    return load(write(folder, plant, {s: p[0] for s, p in known.items()}, tolerance, channels, dt))
+
+
+@pytest.mark.parametrize(
+    "of", [overflow, hysteresis, *(pytest.param(c, marks=pytest.mark.nightly) for c in (play, poles))]
+)
+def test_it_is_named_with_its_size_where_no_noise_is_told(of, tmp_path):
+    found = diagnose(rig_of(tmp_path / "rig", of)).as_dict()
+    name, symbol, size = CASES[of]
+    assert [effect["id"] for effect in found["effects"]] == [name], found["verdict"]
+    assert found["effects"][0]["parameters"][symbol]["value"] == pytest.approx(size, rel=0.12)
+    assert found["verdict"] in (Verdict.MISSING_PHYSICS, Verdict.PARTLY_EXPLAINED)
+
+
+def test_errors_that_are_alike_count_as_few():
+    random = np.random.default_rng(1)
+    slow = np.repeat(random.standard_normal(50), 40)[:, None]
+    likelihood = Coloured.__new__(Coloured)
+    likelihood.mask, likelihood.scale, likelihood.ar = np.ones(2000, bool), np.ones(1), [np.zeros(0)]
+    likelihood.decay = 1.0
+    likelihood.model = type("Runs", (), {"pieces": [slice(0, 2000)]})()
+    assert 20 < likelihood.alike(slow).each < 80
+    assert likelihood.alike(random.standard_normal((2000, 1))).each == 1.0
+    assert np.sum(likelihood.alike(slow).white(slow) ** 2) == pytest.approx(likelihood.alike(slow).count, rel=1e-6)
+
+
+def test_the_size_of_what_rests_most_of_the_time_is_that_of_its_motion(tmp_path):
+    rig = rig_of(tmp_path / "rig", poles)
+    seen = Seen(rig, rig.to_explain())
+    rests = np.concatenate([np.zeros(700), np.linspace(0.1, 1.0, 100)])
+    seen.__dict__["recorded"] = {"w": rests}
+    assert 0.1 <= seen.number("size 0.05 w") < 0.2
+    assert seen.number("size 0.95 w") == pytest.approx(np.quantile(rests, 0.95))
