@@ -174,6 +174,7 @@ class Seen:
             "speck": lambda a, name: SPECK * self._peak(name),
             "rate": lambda a, name: self._rate(a, name),
             "range": lambda a, name: a * np.ptp(self._some(name)) or a * self._peak(name),
+            "part": lambda a, name: np.min(self._some(name)) + a * np.ptp(self._some(name)),
             "waves": lambda a, name: 2 * np.pi * a / (np.ptp(self._some(name)) or self._peak(name)),
             "slope": lambda a, name: a * (np.ptp(self._some(name)) or self._peak(name)) / (dt * samples),
             "way": lambda a, name: a * self._way(name),
