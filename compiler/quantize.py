@@ -243,7 +243,7 @@ class _Quantizer:
     def _under_root(self, name: str) -> bool:
         """Whether a product is part of what a steep function is taken of, which must not be rounded to 0."""
         return any(
-            source == name and self.layers[target.partition(".")[0]].function.steep
+            source == name and self.layers[target.rpartition(".")[0]].function.steep
             for target, (source, _) in self.feeds.items()
             if "." in target
         )
