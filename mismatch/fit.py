@@ -47,8 +47,8 @@ NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal d
 HALVINGS = 6  # of the way from the unknowns' origins to a start from which the run diverges
 ENOUGH = 0.05  # of cost, a twentieth of what noise alone makes of one parameter: a further step tells nothing more
 RIDGE = 1e-9  # added to the curvature of each number, far below a prior's: what does not act on the errors stays
-STEEPER, LEAP = 2.0, 10.0  # times a secant across a deviation: the slope that is not believed, and by which, at most,
-WIDENED = 6  # the deviation is then widened at a time; so often
+WIDENED, LEAP = 4, 10.0  # times that differences are widened by that factor, for deviations, at most; they are wider
+STEEPER = 2.0  # still where one of them grows by more than this: there a run sticks and slips
 LESS = 0.1  # of a difference, that in a smooth run changes as much of the errors
 STRAIGHT_RUN = 0.01  # of the change of the errors, by which a tenth of it may be off in a run that is smooth
 STRAIGHT = 0.7  # share of the promised gain from which the linearisation still serves; a new one costs k + 1 runs
@@ -127,23 +127,21 @@ class Fit:
         """Of the errors by the unknowns' numbers, less what the shifts explain (windows, rows, k)."""
         return self._slopes()
 
-    def _slopes(self, ways: np.ndarray | Sequence[float] = ()) -> np.ndarray:
+    def _slopes(self, both: float = 0.0) -> np.ndarray:
         slopes = self.likelihood.slopes(
-            self.unknowns, self.values, self.shifts, self.errors, self.temper, ways, roughly=self.roughly
+            self.unknowns, self.values, self.shifts, self.errors, self.temper, both, roughly=self.roughly
         )
         return self.likelihood.eliminate(slopes, None, self.basis)[0]
 
-    def centred(self, ways: np.ndarray | None = None) -> "Fit":
-        """This fit, its slopes by differences to both sides: numbers that are known together only stay so in them.
+    def centred(self, way: float) -> "Fit":
+        """This fit, its slopes by differences to both sides: what is known together only stays so in small ones.
 
-        ways: of each number (k,) to either side; small ones if none.
+        way: to either side, of the numbers' scales.
         """
         other = replace(self, roughly=False) if self.roughly else copy.copy(self)
         for name in ("normal", "information", "covariance"):
             vars(other).pop(name, None)
-        vars(other)["slopes"] = other._slopes(
-            np.maximum(ways if ways is not None else 0.0, FINE) * np.ones(len(self.unknowns))
-        )
+        vars(other)["slopes"] = other._slopes(way)
         return other
 
     @cached_property
@@ -248,15 +246,15 @@ class Fit:
     def together(self) -> dict[str, float]:
         """Standard deviation of every unknown's value, the data sheet's errors being those of one cause, if it may.
 
-        It is widened until the run changes across it as much as the slopes say. Where a run sticks and slips, slopes by
-        small differences are far steeper than it is over any way that counts.
+        It is widened for as long as slopes fall with wider differences. Where a run sticks and slips, those by small
+        ones are far steeper than it is over any way that counts.
         """
-        found = self.centred()._deviations()
-        for _ in range(WIDENED):
-            across = self.centred(found)._deviations()
+        found = self.centred(FINE)._deviations()
+        for times in range(1, WIDENED + 1):
+            across = self.centred(FINE * LEAP**times)._deviations()
             if not np.any(across > STEEPER * found):
                 break
-            found = np.maximum(found, np.minimum(across, LEAP * found))
+            found = np.maximum(found, across)
         return {u.symbol: float(d * abs(u.scale)) for u, d in zip(self.unknowns, found, strict=True)}
 
     def _deviations(self) -> np.ndarray:
@@ -456,36 +454,32 @@ class Likelihood:
         shifts,
         errors,
         temper,
-        ways=(),
+        both=0.0,
         fine=False,
         roughly=False,
         step=STEP,
     ) -> np.ndarray:
         """Of `errors` by each unknown's number, (windows, rows, k), by differences to one side or, inside, to both.
 
-        ways: of each number (k,), to both sides. fine: by small ones of the plant's own numbers. roughly: by runs in
-        longer steps. step: of the others' scales.
+        both: of their scales, to both sides. fine: by small ones of the plant's own numbers. roughly: by runs in longer
+        steps. step: of the others' scales.
         """
         if not symbols:
             return np.zeros((self.windows, self.block * errors.shape[1], 0))
 
-        both = len(ways) > 0
         rough = self.rough() if roughly and not both else self
         base = errors if rough is self else rough.errors(values, shifts)
 
-        def slope(at: int) -> np.ndarray:
-            u = symbols[at]
+        def slope(u: Unknown) -> np.ndarray:
             value = values[u.symbol]
-            size = (ways[at] if both else FINE if fine and np.isfinite(u.prior) else step) * u.scale
-            room = max(u.high - value, value - u.low, FINE * abs(u.scale))
-            size = float(np.clip(size, -room, room))
+            size = (both or (FINE if fine and np.isfinite(u.prior) else step)) * u.scale
             size *= -1 if value + size > u.high else 1
             moved = rough.errors({**values, u.symbol: value + size}, shifts)
             inside = both and u.low <= value - size <= u.high
             before = rough.errors({**values, u.symbol: value - size}, shifts) if inside else base
             return self.rows(tame(moved - before) / ((2 if inside else 1) * size / u.scale), temper)
 
-        return np.stack(each(slope, range(len(symbols))), axis=2)
+        return np.stack(each(slope, symbols), axis=2)
 
     def fit(
         self,
@@ -630,9 +624,8 @@ class _Descent:
             self.fine = self.smooth()
             if not self.fine:
                 self.coarsened()
-        ways = [FINE] * len(self.unknowns) if self.both else ()
         slopes = likelihood.slopes(
-            self.unknowns, values, at.shifts, at.errors, self.temper, ways, self.fine, roughly, self.way
+            self.unknowns, values, at.shifts, at.errors, self.temper, FINE * self.both, self.fine, roughly, self.way
         )
         slopes, explained = likelihood.eliminate(slopes, None, basis)
         flat = flattened(slopes)

@@ -7,11 +7,15 @@ import pytest
 from scipy.integrate import solve_ivp
 from small_plants import write
 
+from greygate.mismatch import fit
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnose import diagnose
+from greygate.mismatch.fit import Likelihood, Unknown
+from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
 from greygate.mismatch.seen import Seen
 from greygate.mismatch.verdict import Verdict
+from greygate.plants import Plant, simulate
 
 DRIVE = """step = 1e-3
 outputs = ["q_m", "q_l"]
@@ -174,3 +178,63 @@ def test_the_size_of_what_rests_most_of_the_time_is_that_of_its_motion(tmp_path)
     seen.__dict__["recorded"] = {"w": rests}
     assert 0.1 <= seen.number("size 0.05 w") < 0.2
     assert seen.number("size 0.95 w") == pytest.approx(np.quantile(rests, 0.95))
+
+
+STICKING = """step = 1e-3
+outputs = ["q"]
+inputs = { r = "rad" }
+[parameters]
+J = [4e-3, "kg m^2", 0.15, "arm"]
+b = [0.004, "N m s/rad", 0.5, "bearing"]
+f = [0.03, "N m", 0.0, "dry friction"]
+knee = [0.004, "rad/s", 0.0, "of it"]
+more = [1.0, "1", 0.0, "where motion begins"]
+fast = [0.15, "rad/s", 0.0, "where that ends"]
+[states]
+q = { unit = "rad", rate = "w" }
+w = { unit = "rad/s" }
+[equations]
+way.q = { speed = "w" }
+[equations.motion.w]
+storage = "J"
+drive = "0.12 * (max(min(25 * (r - q), 6), -6) - 0.5 * w)"
+bearing = "-b * w"
+dry = "-f * tanh(w / knee) * (1 + more * exp(-(w / fast)**2))"
+"""
+
+
+@pytest.fixture
+def sticking(tmp_path):
+    """The likelihood of a servo that sticks and slips, under a noise of 2e-4 rad that is told."""
+    random = np.random.default_rng(1)
+    (tmp_path / "true.toml").write_text(STICKING)
+    r = levels(random, 2000, -1, 1, (40, 160))
+    q = simulate(Plant.read(tmp_path / "true.toml"), {"r": r}, sample_time=0.005, step=1e-4)["q"]
+    q = q + 2e-4 * random.standard_normal(len(q))
+    known = tomllib.loads(STICKING)["parameters"]
+    channels = {"r": ("rad", "input", None, r), "q": ("rad", "output", 2e-4, q)}
+    sheet = {s: p[0] for s, p in known.items()} | {"J": 4.4e-3}
+    rig = load(write(tmp_path / "rig", STICKING, sheet, {"J": 0.15, "b": 0.5}, channels, 0.005))
+    return Likelihood(Model(rig, rig.to_explain(), {}))
+
+
+SOUGHT = (
+    Unknown("J", 4.4e-3, 3.3e-4, 1.0), Unknown("b", 4e-3, 1e-3, 1.0), Unknown("f", 0.034, 0.01, low=0.0),
+    Unknown("knee", 1e-3, 0.06, low=1e-5), Unknown("more", 0.5, 0.5, low=0.0, high=5.0),
+    Unknown("fast", 0.27, 0.3, low=1e-5),
+)  # fmt: skip
+
+
+def test_a_fit_takes_differences_across_what_sticks_and_slips(sticking, monkeypatch):
+    found = sticking.fit(SOUGHT)
+    monkeypatch.setattr(fit, "COARSE", fit.STEP)
+    monkeypatch.setattr(fit._Descent, "coarsened", lambda self: False)
+    assert found.cost < 0.5 * sticking.fit(SOUGHT).cost
+
+
+def test_a_deviation_is_one_across_which_the_run_changes(sticking, monkeypatch):
+    known = sticking.fit(SOUGHT[:2], {"J": 4e-3, "b": 4e-3, "knee": 1e-3}, iterations=0)
+    wide = known.together
+    monkeypatch.setattr(fit, "WIDENED", 0)
+    narrow = sticking.fit(SOUGHT[:2], known.values, iterations=0).together
+    assert wide["J"] > 2 * narrow["J"]
