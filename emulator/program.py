@@ -97,6 +97,14 @@ class Terminal:
         with np.errstate(over="ignore"):  # a code beyond float64 is beyond the format too
             return np.floor((values - self.offset) / self.scale * 2.0**self.signal.fix.frac + 0.5)
 
+    def held(self, values: np.ndarray) -> np.ndarray:
+        """Physical values as an input holds them: those of their codes within the format. Raises as `codes`."""
+        return self.values(np.clip(self.codes(values), self.signal.fix.lo, self.signal.fix.hi))
+
+    def values(self, codes: np.ndarray) -> np.ndarray:
+        """Codes as physical values, of the same shape."""
+        return codes * self.signal.fix.lsb * self.scale + self.offset
+
 
 @dataclass(frozen=True)
 class Clipped:
@@ -424,7 +432,7 @@ class Program:
         """Output codes (..., N, columns) to physical values {port: (..., N) or (..., N, size)}."""
         values, start = {}, 0
         for port in self.outputs:
-            part = codes[..., start : start + port.signal.size] * port.signal.fix.lsb * port.scale + port.offset
+            part = port.values(codes[..., start : start + port.signal.size])
             values[port.name] = part if port.signal.size > 1 else part[..., 0]
             start += port.signal.size
         return values

@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 
+from greygate.compiler.pipeline import compile_declared
 from greygate.compiler.quantize import Formats
+from greygate.emulator.emulation import emulate
+from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
 from greygate.models import sampling
@@ -37,6 +40,10 @@ def read_record(network: Network, path: Path | str, targets: bool = True) -> tup
         return {p.name: recording[p.name] for p in ports}
 
     return Record(channels(network.inputs), channels(network.outputs) if targets else {}), recording.dt
+
+
+def _outputs(program: Program, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return emulate(program, inputs).outputs
 
 
 def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str, Record]:
@@ -99,8 +106,13 @@ class Source:
         """The worst of the recordings for a network of another tool beside its own program; None for any other."""
         if not (self.recordings and foreign(self.name)):
             return None
-        records = read_records(self.network(), self.recordings).values()
-        found = [b for r in records if (b := compared(self.name, r.inputs))]
+        records, quantized = read_records(self.network(), self.recordings), self.quantized()
+        given, rounded = [r.inputs for r in records.values()], None
+        if quantized:
+            program = compile_declared(quantized, records, self.training, self.period).program
+            given = [{p.name: p.held(inputs[p.name]) for p in program.inputs} for inputs in given]
+            rounded = partial(_outputs, program)
+        found = [b for inputs in given if (b := compared(self.name, inputs, rounded))]
         return max(found, key=lambda b: (bool(b.why), b.largest), default=None)
 
     def apart(self, held: Mapping[str, str]) -> tuple[dict[str, Record], dict[str, Record]]:

@@ -34,6 +34,7 @@ READ = (SCHEMA, "diagnosis/1")  # that can be simulated: the second adds to the 
 OPEN = 0.9  # of confidence in a name that is `_doubtful`
 DETAIL = 3e-3  # of a misfit: two explanations that differ by less may do so because no model is exact
 ELSE = 0.01  # weight of something that no table has, beside a name whose fit leaves nothing: machines are many
+FURTHER = 2.0  # times an error, beyond which a recording's own chance does not make it
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
 DIGITS = 4  # after the point, of a confidence
 SAID = ("formula", "as_well", "curve")  # of a place, besides what is said of each
@@ -322,19 +323,34 @@ class Diagnosis:
         return found
 
     def _remaining(self) -> str:
-        if self.left:
-            return self.left
-        left = {name: ratio for name, ratio in self.structure.items() if ratio > STRUCTURE}
-        return "; ".join(
+        slow = [
             f"{name}: slow errors {1 + ratio:.2g} times those of white noise{self._when(name)}"
-            for name, ratio in left.items()
-        )
+            for name, ratio in self.structure.items()
+            if ratio > STRUCTURE
+        ]
+        return "; ".join([*([self.left] if self.left else slow), *self._not_the_next()])
+
+    def _not_the_next(self) -> list[str]:
+        """Each channel of which far more stays on the held-out recording than where it was learnt from."""
+        found = []
+        for channel, held in self.fits.get("holdout", {}).items():
+            own = self.fits["identify"][channel]
+            times, shares = held["corrected"] / (own["corrected"] + TINY), [_kept(held), _kept(own)]
+            if self.best.size and min(times, shares[0] / (shares[1] + TINY)) > FURTHER:
+                kept = f"{shares[0]:.0%} of the calibrated error of {channel}, {shares[1]:.0%} where it was learnt from"
+                found.append(f"the held-out recording keeps {kept}")
+        return found
 
     def _when(self, channel: str) -> str:
         """Where, when and at which frequencies a channel still errs."""
         place = {"equation": SENSOR + channel, "depends_on": [], "regime": ""}
         found = located(self.corrected, place, [])
         return f" ({found['regime']}, {found['time']}, {found['band']})" if "time" in found else ""
+
+
+def _kept(errors: Mapping[str, float]) -> float:
+    """The share of the calibrated plant's RMS error that the corrected one has."""
+    return errors["corrected"] / (errors["calibrated"] + TINY)
 
 
 def _weight(gap: float, detail: float) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from greygate.errors import one_line
 from greygate.models.accuracy import float_error
-from greygate.models.importers.onnx_file import read
+from greygate.models.importers.onnx_file import QONNX, read
 from greygate.models.importers.onnx_graph import opened
 from greygate.models.importers.onnx_reference import CHECKED, Imported, Reference, answer, arranged, lengths
 from greygate.models.training.record import Record
@@ -44,36 +44,37 @@ class Beside:
         return f"{self.program} and the network differ by at most {self.largest:.2g} of {self.output} in {steps}{far}"
 
 
-def beside(made: Imported, path: Path, inputs: Columns) -> Beside:
-    """The largest difference over a recording: from onnxruntime, or from ONNX's reference where that is not installed.
+def beside(made: Imported, path: Path, inputs: Columns, rounded: Run | None = None) -> Beside:
+    """The largest difference over a recording: from onnxruntime, or from ONNX's reference where that does not run it.
 
     inputs: of the network, port -> (N,), in its unit; the first STEPS of them are run. A state goes on from step to
-    step.
+    step. rounded: of a model that rounds, what answers as it does, port -> (N,), in the network's place.
     """
     windows = any(t.window is not None for t in made.inputs)
     goes_on = not windows and not made.states and any(c.delay for c in made.network.flatten().connections)
-    axes = [*range(min(len(t.axes) for t in made.inputs) - 1)] if goes_on else []
+    axes = [*range(min(len(t.axes) for t in made.inputs) - 1)] if goes_on or rounded else []
     found, why = [], ""
     for axis in (*axes, None):
         rows = {n: v[: 1 if goes_on and axis is None else STEPS] for n, v in inputs.items()}
         given = {t.name: np.column_stack([rows[p.name] for p in t.ports]) for t in made.inputs}
         try:
-            program, run = _program(made, path, axis)
+            program, run = _program(made, path, axis, rounded is not None)
             answers = _stepped(made, given, run) if axis is None else _along(made, given, run, axis)
         except Exception as error:  # of the other program, in many ways
             why = one_line(" ".join(str(error).split()))[:120]
             continue
-        found.append(_difference(made, rows, answers, program))
+        found.append(_difference(made, rows, answers, program, rounded))
         if found[-1].largest <= ROUNDED:
             return found[-1]
     return min(found, key=lambda b: b.largest) if found else Beside("onnxruntime", why=f"it does not run ({why})")
 
 
-def _program(made: Imported, path: Path, axis: int | None) -> tuple[str, Run]:
+def _program(made: Imported, path: Path, axis: int | None, rounds: bool) -> tuple[str, Run]:
     """What runs the model, with that axis of its inputs as long as the recording."""
-    if find_spec("onnxruntime") is None:
+    foreign = any(n.domain in QONNX for n in read(path).graph.node)
+    if foreign or find_spec("onnxruntime") is None:
         reference = Reference(made.opsets, CHECKED, double=True)
-        return "ONNX's reference", lambda feeds: answer(made, feeds, reference)
+        return "ONNX's reference", lambda feeds: answer(made, feeds, reference, rounds)
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -81,7 +82,7 @@ def _program(made: Imported, path: Path, axis: int | None) -> tuple[str, Run]:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     names = [*(t.name for t in made.outputs), *(after for _, _, after in made.states.values())]
     shown = {o.name for o in read(path).graph.output}
-    model = _freed(path, made, axis) if axis is not None or not shown.issuperset(names) else str(path)
+    model = _freed(path, made, axis) if rounds or axis is not None or not shown.issuperset(names) else str(path)
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     kinds = {i.name: np.float64 if "double" in i.type else np.float32 for i in session.get_inputs()}
     names = list(dict.fromkeys(names))
@@ -136,10 +137,10 @@ def _along(made: Imported, given: Columns, run: Run, axis: int) -> dict[str, np.
     return answers
 
 
-def _difference(made: Imported, inputs: Columns, answers: Columns, program: str) -> Beside:
+def _difference(made: Imported, inputs: Columns, answers: Columns, program: str, rounded: Run | None) -> Beside:
     steps = len(next(iter(inputs.values())))
     nothing = {p.name: np.zeros((steps, p.size) if p.size > 1 else steps) for t in made.outputs for p in t.ports}
-    got = float_error(made.network, Record(inputs, nothing))  # from 0: what it gives
+    got = rounded(inputs) if rounded else float_error(made.network, Record(inputs, nothing))  # from 0: what it gives
     worst = Beside(program, steps, "", -1.0)
     for t in made.outputs:
         wanted, mine = answers[t.name], np.column_stack([got[p.name] for p in t.ports])[-len(answers[t.name]) :]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.models.importers.beside import Beside, beside
+from greygate.models.importers.beside import Beside, Run, beside
 from greygate.models.importers.builder import port
 from greygate.models.importers.matlab import from_matlab
 from greygate.models.importers.onnx_graph import from_onnx, from_qonnx, imported
@@ -49,17 +49,15 @@ def load_quantized(path: Path | str) -> Quantized | None:
     return from_qonnx(path, **_told(path))
 
 
-def compared(path: Path | str, inputs: Mapping[str, np.ndarray]) -> Beside | None:
+def compared(path: Path | str, inputs: Mapping[str, np.ndarray], rounded: Run | None = None) -> Beside | None:
     """A model beside its network over a recording, as `beside`; None for a file that no other program here runs.
 
-    inputs: port of the network -> (N,), in its unit. Raises InputError as `load`.
+    inputs: port of the network -> (N,), in its unit. rounded: as of `beside`. Raises InputError as `load`.
     """
     path = Path(path)
     if path.suffix.lower() != ".onnx":
         return None
-    if load_quantized(path) is not None:
-        return Beside("onnxruntime", why="the model rounds, and the float network does not")
-    return beside(imported(path, **_told(path)), path, inputs)
+    return beside(imported(path, **_told(path)), path, inputs, rounded)
 
 
 def _told(path: Path) -> dict[str, Any]:

@@ -7,6 +7,8 @@ from greygate.models.importers.onnx_file import STANDARD
 from greygate.progress import once
 
 ML = "ai.onnx.ml"
+SHAPING = ("Identity", "Reshape", "Flatten", "Squeeze", "Unsqueeze")
+"""Operations that change no number."""
 
 
 def needed(model: Any, path: Path | str, quantized: bool) -> Any:
@@ -59,14 +61,22 @@ def _numbers(graph: Any, path: Path | str) -> None:
 
 
 def _without_softmax(graph: Any, path: Path | str) -> None:
-    shown = {o.name for o in graph.output}
-    for node in graph.node:
-        only = sum(node.output[0] in n.input for n in graph.node) == 0
-        if node.domain in STANDARD and node.op_type in ("Softmax", "LogSoftmax") and node.output[0] in shown and only:
+    at_the_end = {o.name for o in graph.output}
+    for node in reversed(graph.node):
+        if node.domain not in STANDARD or node.output[0] not in at_the_end or _readers(graph, node) - at_the_end:
+            continue
+        if node.op_type in SHAPING:
+            at_the_end.add(node.input[0])
+        elif node.op_type in ("Softmax", "LogSoftmax"):
             what = f"{node.output[0]} is what goes into it, whose largest is the same class"
             once(f"{path}: {node.op_type} at the end is left out, as no format rounds as it does: {what}")
             node.op_type = "Identity"
             del node.attribute[:]
+
+
+def _readers(graph: Any, node: Any) -> set[str]:
+    """What is computed of what a node gives."""
+    return {name for n in graph.node if node.output[0] in n.input for name in n.output}
 
 
 def _living(graph: Any) -> None:

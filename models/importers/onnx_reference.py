@@ -12,7 +12,7 @@ import numpy as np
 from greygate.errors import InputError, one_line, shown
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, messages
 from greygate.models.importers.onnx_recurrent import GATES, Options, computed
-from greygate.models.importers.qonnx import LINEAR, limited
+from greygate.models.importers.qonnx import LINEAR, quantized
 from greygate.models.network import Network
 
 AGREED = 1e-6  # of the largest answer: float64 on both sides, and products of signals made of squares
@@ -371,13 +371,18 @@ def _difference(
     return worst
 
 
-def answer(made: Imported, feeds: Mapping[str, np.ndarray], reference: Reference) -> dict[str, np.ndarray]:
-    """What the model gives, all floats as float64, so that its own rounding is no difference."""
+def answer(
+    made: Imported, feeds: Mapping[str, np.ndarray], reference: Reference, rounds: bool = False
+) -> dict[str, np.ndarray]:
+    """What the model gives, all floats as float64, so that their rounding is no difference.
+
+    rounds: a node that quantizes rounds; else it only limits.
+    """
     values = {n: _wide(v) for n, v in made.constants.items()} | dict(feeds)
     types = {n: v for n, v in made.constants.items() if v.dtype.kind in "iu"}  # of zero points
     for node in made.changing:
         if node.domain in QONNX or node.op_type in LINEAR:
-            values[node.output[0]] = limited(node, values | types)
+            values[node.output[0]] = quantized(node, values | types, rounds)
         elif node.op_type == "Cast" and values[node.input[0]].dtype.kind == "f":
             truth = any(a.name == "to" and a.i == BOOL for a in node.attribute)
             values[node.output[0]] = values[node.input[0]] != 0 if truth else values[node.input[0]]

@@ -186,19 +186,23 @@ def _range(node: Any, values: Mapping[str, Any]) -> tuple[int, int]:
     return int(found.min), int(found.max)
 
 
-def limited(node: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """What a node that quantizes makes of an array without its rounding: the limits of its format."""
+def quantized(node: Any, values: Mapping[str, np.ndarray], rounds: bool) -> np.ndarray:
+    """What a node that quantizes makes of an array, of which it takes the codes if it rounds, else the limits alone."""
     from onnx import helper
 
     x, scale, *rest = (values[n] for n in node.input if n)
+    steps = scale.astype(float)
     if node.op_type in LINEAR:
         zero = rest[0].astype(float) if rest else 0.0
         if node.op_type == "DequantizeLinear":
-            return (x - zero) * scale.astype(float)
-        return np.clip(x / scale.astype(float) + zero, *_range(node, values))
+            return (x - zero) * steps
+        return np.clip((np.round(x / steps) if rounds else x / steps) + zero, *_range(node, values))
     options = {a.name: helper.get_attribute_value(a) for a in node.attribute}
     lo, hi = _codes(int(np.ravel(rest[1])[0]), options.get("signed", 1), options.get("narrow", 0))
-    return np.clip(x, lo * scale.astype(float), hi * scale.astype(float))
+    codes = np.clip(x / steps, lo, hi)
+    if rounds:
+        codes = ROUNDINGS[options.get("rounding_mode", b"ROUND").decode().upper()][1](codes)
+    return codes * steps
 
 
 def _codes(width: int, signed: int, narrow: int) -> tuple[int, int]:
