@@ -82,12 +82,23 @@ def fit_lines(goal: Goal, symmetry: Symmetry, budget: float, aim: float, most_bi
     return fitter.segments(layout, min(found, key=lambda f: f[:2])[-1] if found else fine)
 
 
+def affordable(goal: Goal, symmetry: Symmetry, budget: float, most_bits: int) -> float:
+    """The budget, doubled until octaves of 2^most_bits segments in all meet it at the sampled codes."""
+    fitter, fine = _Fitter(goal, symmetry), _Numbers(GUARDS[-1], STEEP[-1], goal.reach)
+    while True:
+        layout = fitter.layout(fine, budget, most_bits, True)
+        if sum(octave.count for octave in layout) <= 1 << most_bits and fitter.meets(layout, fine, budget):
+            return budget
+        budget *= 2
+
+
 class _Fitter:
     """The lines of octaves, and their errors."""
 
     def __init__(self, goal: Goal, symmetry: Symmetry):
         self.goal = goal
         self.wanted: dict[_Octave, tuple[np.ndarray, np.ndarray]] = {}
+        self.errors: dict[tuple[_Octave, _Numbers], float] = {}
         self.beyond = goal.f(np.array([1 << goal.reach, max(1 << goal.reach, -goal.arg.lo)], np.int64))
         one = 1 << max(0, goal.out.frac)
         lo, hi = goal.out.lo, goal.out.hi
@@ -113,12 +124,13 @@ class _Fitter:
             [longest(0, start), *(above[size] for size in range(start, reach))]
             for start in (range(reach, 0, -1) if several else [reach])
         ]
+        meeting = [layout for layout in layouts if self.meets(layout, numbers, budget)]
 
         def cost(layout: list[_Octave]) -> tuple[int, int, int]:
             words = sum(octave.count for octave in layout)
             return (words - 1).bit_length(), len(layout), words
 
-        return min(layouts, key=cost)
+        return min(meeting or layouts, key=cost)
 
     def lines(self, octave: _Octave, numbers: _Numbers) -> tuple[np.ndarray, np.ndarray, float]:
         """(bases, slopes, the worst error at the sampled codes of both signs)."""
@@ -163,7 +175,9 @@ class _Fitter:
         return Segments(0, (), (), numbers.slope_frac, min(numbers.guard, numbers.slope_frac), (), ())
 
     def error(self, octave: _Octave, numbers: _Numbers) -> float:
-        return self.lines(octave, numbers)[2]
+        if (octave, numbers) not in self.errors:
+            self.errors[octave, numbers] = self.lines(octave, numbers)[2]
+        return self.errors[octave, numbers]
 
     def meets(self, layout: list[_Octave], numbers: _Numbers, budget: float) -> bool:
         return all(self.error(octave, numbers) <= budget for octave in layout)

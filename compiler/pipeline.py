@@ -28,13 +28,14 @@ PERIOD = 1e-3  # s, of a step, where neither the caller nor the network says it
 SAME = 1e-9  # largest relative change of any output that a simplification may cause
 WIDTHS = range(8, 33)
 EXACT = 1e-9  # error of float, relative to the signal, below which it has none
+COARSE = 1 / 32  # of an output's range: beyond it, fixed point has fewer than five bits of it right, which a plot shows
 
 
 @dataclass(frozen=True)
 class Pass:
     """What one pass left: layers, parameters, multiplications; and the largest relative change of an output.
 
-    remarks: sentences on single modules.
+    remarks: sentences on single modules and outputs.
     """
 
     name: str
@@ -108,6 +109,7 @@ def compile_network(
             continue
         if meanings:
             passes.remark("use_meanings", remarks | proved)
+        passes.remark(passes.done[-1].name, coarse(program, small, records))
         return Compiled(small, found, program, tuple(passes.done), tuple(rounds))
 
 
@@ -162,9 +164,9 @@ class _Passes:
         return network, rounds
 
     def remark(self, name: str, remarks: Mapping[str, str]) -> None:
-        """Add remarks on modules, by path, to the pass of that name."""
+        """Add remarks on modules and outputs, by path, to the pass of that name."""
         told = tuple(f"{path or self.network.name} {why}" for path, why in sorted(remarks.items()))
-        self.done = [replace(p, remarks=told) if p.name == name else p for p in self.done]
+        self.done = [replace(p, remarks=(*p.remarks, *told)) if p.name == name else p for p in self.done]
 
 
 def entropy_pruning(
@@ -184,6 +186,24 @@ def fixed_error(program: Program, record: Record) -> dict[str, np.ndarray]:
     """Fixed-point prediction less target, by output, in physical units, (N,) or (N, size)."""
     decoded = program.decode(run(program, program.encode(record.inputs), states=False).outputs)
     return {p.name: decoded[p.name] - np.asarray(record.targets[p.name]) for p in program.outputs}
+
+
+def coarse(program: Program, network: Network, records: Mapping[str, Record]) -> dict[str, str]:
+    """Output -> a remark, where fixed point differs from float by more than COARSE of its range on a record."""
+    worst: dict[str, tuple[float, str]] = {}
+    for scenario, record in records.items():
+        floating, fixed = float_error(network, record), fixed_error(program, record)
+        for name, error in fixed.items():
+            answers = (np.asarray(record.targets[name]) + floating[name])[record.skip :]
+            apart, span = np.abs(error - floating[name])[record.skip :].max(), np.ptp(answers)
+            share = float(apart / span) if span > EXACT * np.abs(answers).max() else 0.0
+            worst[name] = max(worst.get(name, (COARSE, "")), (share, scenario))
+    return {
+        name: f"differs from float by up to {share:.0%} of its range on {scenario}: give more bits (--width), "
+        "or a largest error (--max-error 1.05x)"
+        for name, (share, scenario) in worst.items()
+        if scenario
+    }
 
 
 def strain(program: Program, network: Network, records: Sequence[Record]) -> float:

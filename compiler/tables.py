@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from greygate.compiler.lines import Goal, fit_lines
+from greygate.compiler.lines import Goal, affordable, fit_lines
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.numbers import Fix
 from greygate.emulator.tables import Lines, Symmetry, Table
@@ -87,6 +87,8 @@ def _lines(function: str, arg: Fix, out: Fix, budget: float, form: Form, reach: 
     assert f.symmetry, f"{function} is kept in a table, which is half of it"
     name = f"{_name(function, arg, out)}_{form}"
     goal = Goal(lambda codes: np.minimum(f.value(xp, codes * arg.lsb), _most(out)) * 2.0**out.frac, arg, out, reach)
+    if form is Form.OCTAVES:
+        budget = affordable(goal, Symmetry(f.symmetry), budget, LARGEST_BITS)
     limit, aim, found = budget, budget, []
     for _ in range(ATTEMPTS):
         fitted = fit_lines(goal, Symmetry(f.symmetry), limit, aim, LARGEST_BITS, several=form is Form.OCTAVES)

@@ -316,6 +316,21 @@ def test_centred_biases_take_the_mean_out_of_one_step_errors():
     assert after <= 0.5 * before
 
 
+@pytest.mark.parametrize(("width", "said"), [(5, True), (16, False)])
+def test_an_output_that_fixed_point_moves_by_a_plain_part_of_its_range_is_told_of(width, said):
+    network = feedforward("f", ["u"], [4], 0)
+    record = record_of(network, 200, 0)
+    compiled = compile_network(network, {"quiet": Record({"u": np.zeros(9)}, {"y": np.zeros(9)}), "run": record},
+                               Formats(width), ranged_on=["run"])  # fmt: skip
+    name = network.outputs[0].name
+    remarks = [r for p in compiled.passes for r in p.remarks if "differs from float" in r]
+    apart, wanted = fixed_error(compiled.program, record)[name], record.targets[name]
+    assert (np.abs(apart).max() > pipeline.COARSE * np.ptp(wanted)) == said
+    assert [r[: r.index(":")] for r in remarks] == said * [
+        f"{name} differs from float by up to {np.abs(apart).max() / np.ptp(wanted):.0%} of its range on run"
+    ]
+
+
 def test_a_budget_gives_the_cheapest_formats_that_meet_it():
     network = train(feedforward("f", ["u", "p"], [6], 1), [flow_record()], epochs=30).network
     record = flow_record()

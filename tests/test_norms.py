@@ -128,6 +128,12 @@ def test_a_norm_keeps_its_digits_in_fixed_point(norm):
     assert np.abs(error).max() < 2e-3 * np.ptp(wanted)
 
 
+def test_a_norm_of_two_numbers_that_are_now_and_then_nearly_equal_keeps_its_digits():
+    network = from_torch(Behind(lambda y: F.layer_norm(y[:2], (2,))), ["a", "b", "c"], ["y0", "y1"])
+    _, _, error, wanted = fixed(network)
+    assert np.abs(error).max() < 5e-3 * np.ptp(wanted)
+
+
 def test_a_spread_of_more_octaves_than_the_format_has_is_refused_with_what_to_do():
     norm = Behind(lambda y: F.layer_norm(y * torch.relu(y[:1]), (N,), eps=1e-10))
     network = from_torch(norm, ["a", "b", "c"], [f"y{k}" for k in range(N)])

@@ -42,6 +42,13 @@ def test_octaves_take_a_fifth_of_the_words_for_the_same_error(arg, out, entries)
     assert all(t.worst_error <= 1.25 * out.lsb for t in tables)
 
 
+@pytest.mark.parametrize(("out", "budgets"), [(Fix(26, 17), 1), (Fix(28, 19), 2)])
+def test_octaves_of_a_root_that_hardly_fit_meet_the_budget_or_the_least_doubled_one(out, budgets):
+    table = make_table("rsqrt", Fix(18, 18), out, 1.25, form=Form.OCTAVES)
+    assert len(table.bases) <= 4096
+    assert table.worst_error == pytest.approx(1.25 * budgets * out.lsb, rel=0.1)
+
+
 def test_where_the_format_holds_the_function_208_lines_err_by_less_than_one_lsb():
     table = make_table("tansig", Fix(19, 14), Fix(16, 15), 1.0, form=Form.OCTAVES)
     assert table.entries == 208

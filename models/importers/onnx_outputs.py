@@ -57,7 +57,8 @@ def _numbers(graph: Any, path: Path | str) -> None:
     if kept and left:
         del graph.output[:]
         graph.output.extend(kept)
-        once(f"{path}: output {', '.join(left)} holds whole numbers or words and is left out; the others tell a class")
+        given = ", ".join(o.name for o in kept)
+        once(f"{path}: output {', '.join(left)} holds whole numbers or words and is left out; what stays is {given}")
 
 
 def _without_softmax(graph: Any, path: Path | str) -> None:
