@@ -113,6 +113,12 @@ def write_keras(folder: Path) -> None:
         "GRU": ([WINDOW, 2], lambda: [layers.GRU(4), layers.Dense(1)]),
         "LSTM": ([WINDOW, 2], lambda: [layers.LSTM(4), layers.Dense(1)]),
         "LSTM, two": ([WINDOW, 2], lambda: [layers.LSTM(4, return_sequences=True), layers.LSTM(3), layers.Dense(1)]),
+        "TimeDistributed": (
+            [WINDOW, 2],
+            lambda: [layers.TimeDistributed(layers.Dense(3, "tanh")), layers.GlobalAveragePooling1D(), layers.Dense(1)],
+        ),
+        "GroupNormalization": ([6], lambda: [layers.Dense(6), layers.GroupNormalization(2), layers.Dense(1)]),
+        "UnitNormalization": ([3], lambda: [layers.Dense(4), layers.UnitNormalization(), layers.Dense(1)]),
         "both ways": ([WINDOW, 2], lambda: [layers.Bidirectional(layers.GRU(3)), layers.Dense(1)]),
     }
     keras.utils.set_random_seed(0)
@@ -125,8 +131,11 @@ def write_keras(folder: Path) -> None:
 def write_sklearn(folder: Path) -> None:
     from skl2onnx import to_onnx
     from sklearn.compose import ColumnTransformer
+    from sklearn.cross_decomposition import PLSRegression
+    from sklearn.ensemble import GradientBoostingRegressor
     from sklearn.impute import SimpleImputer
     from sklearn.linear_model import LinearRegression, Ridge
+    from sklearn.multioutput import MultiOutputRegressor
     from sklearn.neural_network import MLPRegressor
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures, StandardScaler
@@ -143,6 +152,8 @@ def write_sklearn(folder: Path) -> None:
         "polynomial": make_pipeline(PolynomialFeatures(2), Ridge()),
         "columns": make_pipeline(columns, several),
         "clipped": make_pipeline(MinMaxScaler(clip=True), several),
+        "PLS": PLSRegression(2),
+        "boosted tree": MultiOutputRegressor(GradientBoostingRegressor(n_estimators=3)),
         "tree": DecisionTreeRegressor(max_depth=3),
     }
     for name, part in parts.items():

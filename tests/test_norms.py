@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 from imported_models import each, free_run, signal
@@ -176,6 +177,53 @@ def test_what_onnx_has_of_them_is_carried(op, tmp_path):
     model = built([helper.make_node(op, given, ["y"], **ONNX[op])], {"x": [1, 5]}, ["y"], gain, opset=opset)
     (tmp_path / "m.onnx").write_bytes(model.SerializeToString())
     assert len(from_onnx(tmp_path / "m.onnx").inputs) == 5  # which compares it with ONNX's reference
+
+
+def by_mean_of_squares(x, axes):
+    """A variance as Keras writes it, and what is normalised by it."""
+    return [
+        helper.make_node("ReduceMean", [x, axes], ["m"]), helper.make_node("Mul", [x, x], ["s"]),
+        helper.make_node("ReduceMean", ["s", axes], ["e"]), helper.make_node("Mul", ["m", "m"], ["k"]),
+        helper.make_node("Sub", ["e", "k"], ["v"]), helper.make_node("Add", ["v", "eps"], ["w"]),
+        helper.make_node("Sqrt", ["w"], ["r"]), helper.make_node("Sub", [x, "m"], ["d"]),
+        helper.make_node("Div", ["d", "r"], ["y"]),
+    ]  # fmt: skip
+
+
+def by_limited_root(x, axes):
+    """Unit length as Keras writes it."""
+    return [
+        helper.make_node("Mul", [x, x], ["s"]), helper.make_node("ReduceSum", ["s", axes], ["e"]),
+        helper.make_node("Sqrt", ["e"], ["r"]), helper.make_node("Div", ["one", "r"], ["i"]),
+        helper.make_node("Cast", ["i"], ["c"], to=1), helper.make_node("Min", ["c", "most"], ["l"]),
+        helper.make_node("Mul", [x, "l"], ["y"]),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("of", [by_mean_of_squares, by_limited_root])
+def test_norms_as_keras_writes_them_out_are_carried_and_keep_their_digits(of, tmp_path):
+    fixed_of = {"axes": np.array([-1]), "eps": np.float32(1e-3), "one": np.float32(1), "most": np.float32(1e3)}
+    model = built(of("x", "axes"), {"x": [1, 4]}, ["y"], fixed_of, opset=18)
+    (tmp_path / "m.onnx").write_bytes(model.SerializeToString())
+    network = from_onnx(tmp_path / "m.onnx")
+    session = onnxruntime.InferenceSession(str(tmp_path / "m.onnx"))
+    x = np.vstack([0.5 + signal(50, 4), np.zeros((1, 4))]).astype(np.float32)
+    wanted = np.vstack([session.run(None, {"x": row[None]})[0] for row in x])
+    assert np.abs(free_run(network, x) - wanted).max() < 1e-4
+    record = Record({p.name: v for p, v in zip(network.inputs, x[:-1].T, strict=True)}, {})
+    record = replace(record, targets=network.run(record.inputs))
+    error = fixed_error(compile_network(network, {"run": record}, Formats(16)).program, record)
+    assert max(np.abs(e).max() / np.ptp(record.targets[n]) for n, e in error.items()) < 0.01
+
+
+@pytest.mark.parametrize("end", ["shown", "read"])
+def test_a_root_that_others_see_stays_as_it_is(end, tmp_path):
+    nodes = [*by_limited_root("x", "axes"), helper.make_node("Mul", ["r", "r"], ["q"])]
+    fixed_of = {"axes": np.array([-1]), "one": np.float32(1), "most": np.float32(1e3)}
+    model = built(nodes, {"x": [1, 4]}, ["y", "r" if end == "shown" else "q"], fixed_of, opset=18)
+    (tmp_path / "m.onnx").write_bytes(model.SerializeToString())
+    with pytest.raises(InputError, match="the divisor is a signal that may be 0"):
+        from_onnx(tmp_path / "m.onnx")
 
 
 def test_bounds_are_those_of_squares_limits_and_what_is_never_0():

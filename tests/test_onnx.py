@@ -534,6 +534,17 @@ def elsewhere(name="w"):
     return tensor
 
 
+def test_a_scan_over_rows_of_constants_is_unrolled_as_no_time_goes_by(tmp_path):
+    """Distances to the samples of a Gaussian process, by skl2onnx."""
+    ins = [helper.make_tensor_value_info(n, TensorProto.FLOAT, [3]) for n in ("s", "row")]
+    outs = [helper.make_tensor_value_info(n, TensorProto.FLOAT, None) for n in ("t", "d")]
+    steps = [("Identity", ["s"], ["t"]), ("Sub", ["s", "row"], ["e"]), ("Mul", ["e", "e"], ["d"])]
+    body = helper.make_graph([helper.make_node(*step) for step in steps], "body", ins, outs)
+    scan = helper.make_node("Scan", ["x", "rows"], ["kept", "y"], num_scan_inputs=1, body=body)
+    model = built([scan], {"x": [3]}, ["y"], {"rows": f(4, 3)})
+    assert judged(Case("rows", model), tmp_path / "m.onnx")[0] == "right"
+
+
 def outside(where):
     """A model with a tensor whose numbers are in private.bin."""
     add = helper.make_node("Add", ["x", "w"], ["y"])

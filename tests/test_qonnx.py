@@ -1,5 +1,6 @@
 """A QONNX model becomes a program that gives every bit of QONNX's own executor."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +15,7 @@ from greygate.emulator.emulation import emulate
 from greygate.emulator.engine import run
 from greygate.errors import InputError
 from greygate.hardware.build import Project
+from greygate.hardware.verify import Case, Scenario, verify_many
 from greygate.machines.source import Source
 from greygate.models.importers.files import load_quantized
 from greygate.models.importers.onnx_reference import answer
@@ -245,13 +247,11 @@ def test_scales_that_are_no_powers_of_two_give_every_code(tmp_path, capfd):
     assert "its scales are no powers of two: signals are codes" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("each", [False, True])
-@pytest.mark.parametrize("signed", [False, True])
-def test_a_static_quantization_of_onnxruntime_gives_every_code_of_it(each, signed, tmp_path):
+def static(folder, x, each, signed):
+    """A network of three layers as onnxruntime's quantize_static leaves it, in QDQ format."""
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
     rng = np.random.default_rng(1)
-    x = rng.normal(size=(N, 3)).astype(np.float32)
     sizes, nodes, fixed, last = (3, 8, 6, 2), [], {}, "x"
     for k, (n, o) in enumerate(pairwise(sizes)):
         fixed |= {f"w{k}": rng.normal(size=(n, o)).astype(np.float32), f"b{k}": rng.normal(size=o).astype(np.float32)}
@@ -265,14 +265,43 @@ def test_a_static_quantization_of_onnxruntime_gives_every_code_of_it(each, signe
         def get_next(self):
             return next(self.left, None)
 
-    (tmp_path / "float.onnx").write_bytes(built(nodes, {"x": ["N", 3]}, ["y"], fixed, 17).SerializeToString())
-    kind = QuantType.QInt8 if signed else QuantType.QUInt8
+    (folder / "float.onnx").write_bytes(built(nodes, {"x": ["N", 3]}, ["y"], fixed, 17).SerializeToString())
+    kind, file = QuantType.QInt8 if signed else QuantType.QUInt8, folder / f"q{each:d}{signed:d}.onnx"
     options = {"activation_type": kind, "weight_type": QuantType.QInt8, "per_channel": each}
-    quantize_static(tmp_path / "float.onnx", tmp_path / "q.onnx", Reader(), QuantFormat.QDQ, **options)
-    (expected,) = onnxruntime.InferenceSession(str(tmp_path / "q.onnx")).run(None, {"x": x})
-    found, scales = answered(tmp_path / "q.onnx", x)
+    quantize_static(folder / "float.onnx", file, Reader(), QuantFormat.QDQ, **options)
+    return file
+
+
+@pytest.mark.parametrize("each", [False, True])
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_static_quantization_of_onnxruntime_gives_every_code_of_it(each, signed, tmp_path):
+    x = np.random.default_rng(7).normal(size=(N, 3)).astype(np.float32)
+    file = static(tmp_path, x, each, signed)
+    (expected,) = onnxruntime.InferenceSession(str(file)).run(None, {"x": x})
+    found, scales = answered(file, x)
     assert np.abs(found - expected).max() < 1e-3 * max(scales)
     assert len(np.unique(expected)) > 20
+
+
+@pytest.mark.nightly
+def test_the_hardware_of_models_that_round_is_that_of_the_emulator_in_every_bit(tmp_path):
+    x = np.random.default_rng(7).normal(size=(N, 3)).astype(np.float32)
+    files = [static(tmp_path, x, each, signed) for each in (False, True) for signed in (False, True)]
+    files += [linear(name, tmp_path / f"{name}.onnx") for name in ("uint8 above", "int8 below")]
+    for k, of in enumerate((rectified, CARRIED["tanh"], scaled, binary)):
+        model = Model(k)
+        files.append(model.saved(tmp_path / f"m{k}.onnx", of(model)))
+    cases = []
+    for k, file in enumerate(files):
+        program = replace(
+            declared_program(load_quantized(file), reach={f"x_{j}": 9.0 for j in (1, 2, 3)}), name=f"m{k}"
+        )
+        codes = program.encode({p.name: x[:40, j] for j, p in enumerate(program.inputs)})
+        answers = run(program, codes)
+        for architecture in ("parallel", "folded"):
+            named = replace(program, name=f"m{k}_{architecture}")
+            cases.append(Case(named, {"run": Scenario(codes, answers.outputs, answers.states)}, architecture))
+    assert [v for v in verify_many(cases, tmp_path / "v", seed=1).verdicts if v.mismatch] == []
 
 
 def test_weights_of_one_bit_and_an_input_without_quant_are_carried(tmp_path, capfd):

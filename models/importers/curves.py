@@ -97,9 +97,10 @@ CURVES: dict[str, Callable[..., Value]] = {
 """By their names in ONNX."""
 
 INSTEAD = {  # operation -> what to write, or to give, in its place
-    ("log", "log1p", "log2", "log10", "atan", "asin", "acos", "atan2", "hypot", "cdist"):
+    ("log", "log1p", "log2", "log10", "atan", "asin", "acos", "atan2", "hypot"):
         "log_softmax, logsumexp or softplus if it is part of one; else a layer of tanh that learns it over the range "
         "of the recording, or give its result as an input",
+    ("cdist",): "the sum of squares of differences, (x[:, None] - c).square().sum(-1)",
     ("sin", "cos", "tan"): "a sine and a cosine that the host gives as inputs, as an angle grows without bound",
     ("round", "floor", "ceil"): "what it rounds, or where with a limit for each step",
     ("sort", "topk", "argmax", "argmin"): "maximum and minimum of pairs",
@@ -108,6 +109,9 @@ INSTEAD = {  # operation -> what to write, or to give, in its place
     ("dynamicquantizelinear", "matmulinteger", "convinteger", "dynamicquantizematmul"):
         "a static quantization (quantize_static), whose scales do not depend on the data",
     ("multiheadattention", "attention"): "softmax(q k^T) v out, with MatMul and Softmax",
+    ("randomnormallike", "randomuniformlike", "randomnormal", "randomuniform", "bernoulli", "multinomial"):
+        "the mean in its place: it draws at random",
+    ("resize", "upsample"): "a Linear with the weights of that interpolation",
     ("treeensembleregressor", "svmregressor"): "an MLPRegressor that is trained on its answers",
 }  # fmt: skip
 

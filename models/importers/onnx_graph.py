@@ -448,6 +448,32 @@ def _divide(walk: _Walk, a: Value, b: Value) -> Value:
     return walk.builder.product(a, norms.inverse(walk.builder, b, walk.hint), walk.hint)
 
 
+def _difference(walk: _Walk, a: Value, b: Value) -> Value:
+    """Of a mean of squares and the square of that mean: the mean square of the rest, never negative, no digits lost."""
+    x, mean = (_squared_by(walk, n) for n in (_mean_of(walk, walk.node.input[0]), walk.node.input[1]))
+    if x and _mean_of(walk, mean) == x and a.shape == b.shape and len(b.shape) == len(walk.scope[x].shape):
+        axes = [k for k, (n, m) in enumerate(zip(walk.scope[x].shape, b.shape, strict=True)) if n != m]
+        rest = walk.builder.activated(walk.scope[x].plus(walk.scope[mean].times(-1.0)), "linear", walk.hint)
+        return walk.builder.power(rest, 2, walk.hint).mean(axes, True) if axes else constant(np.zeros(a.shape))
+    return a.plus(b.times(-1.0))
+
+
+def _mean_of(walk: _Walk, name: str) -> str:
+    """What that value is the mean of; "" if it is none."""
+    made = walk.made.get(name)
+    return made.input[0] if made is not None and made.op_type == "ReduceMean" else ""
+
+
+def _squared_by(walk: _Walk, name: str) -> str:
+    """What that value is the square of, a signal; "" if it is none."""
+    made = walk.made.get(name)
+    if made is None or made.op_type not in ("Mul", "Pow") or not isinstance(walk.scope[made.input[0]], Value):
+        return ""
+    one, two = made.input
+    square = one == two if made.op_type == "Mul" else np.all(np.asarray(walk.scope[two]) == 2)
+    return one if square else ""
+
+
 def _of_softsign(walk: _Walk, x: str, divisor: str) -> bool:
     """Whether a divisor is 1 + |x|, as exporters write softsign out."""
     total = walk.made.get(divisor)
@@ -650,7 +676,10 @@ def _cast(walk: _Walk, x: Value, to: int, **_: Any) -> Value:
         return (
             x if made is not None and made.op_type in TRUTHS else _not(walk.builder.equal(x, constant(0.0), walk.hint))
         )
-    raise walk.refused(f"a signal becomes {TensorProto.DataType.Name(to)}, which rounds it; keep it in FLOAT or DOUBLE")
+    raise walk.refused(
+        f"a signal becomes {TensorProto.DataType.Name(to)}, which rounds it; keep it in FLOAT or "
+        "DOUBLE, and give a class that it is (Embedding) as one port of 0 or 1 for each"
+    )
 
 
 def _dropout(walk: _Walk, x: Value, ratio: Value | None = None, training: Value | None = None, **_: Any) -> Value:
@@ -733,7 +762,7 @@ FUNCTIONS: dict[str, Callable] = {
     "Gemm": _gemm,
     "MatMul": lambda walk, a, b: walk.builder.matmul(a, b, walk.hint),
     "Add": lambda walk, a, b: a.plus(b),
-    "Sub": lambda walk, a, b: a.plus(b.times(-1.0)),
+    "Sub": _difference,
     "Mul": lambda walk, a, b: walk.builder.product(a, b, walk.hint),
     "Div": _divide,
     "Neg": lambda walk, x: x.times(-1.0),

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from greygate.models.importers.onnx_file import STANDARD
+from greygate.models.importers.onnx_patterns import limited_roots
 from greygate.progress import once
 
 ML = "ai.onnx.ml"
@@ -23,6 +24,7 @@ def needed(model: Any, path: Path | str, quantized: bool) -> Any:
     graph = made.graph
     _plain_maps(graph)
     _numbers(graph, path)
+    limited_roots(graph)
     if quantized:
         _without_softmax(graph, path)
     _living(graph)

@@ -192,10 +192,11 @@ def scan(walk: Any, *given: Value, body: Any, num_scan_inputs: int, **options: A
         raise walk.refused("the steps are not its first axis")
     count = len(given) - num_scan_inputs
     steps = given[count].shape[0]
-    if steps != 1 and not walk.windows:
+    unrolled = walk.windows or all(v.constant is not None for v in given[count:])  # by rows of constants, not of time
+    if steps != 1 and not unrolled:
         raise walk.refused(f"{steps} steps: export the model with one")
     states, kept, node = list(given[:count]), [], walk.node
-    for j, inner in enumerate(body.input[:count] if not walk.windows else ()):
+    for j, inner in enumerate(body.input[:count] if not unrolled else ()):
         first = walk.fixed(states[j], "the initial state")
         name, states[j] = walk.builder.state(f"{walk.hint}_{inner.name}", first)
         kept.append(name)

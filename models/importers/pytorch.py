@@ -66,7 +66,10 @@ def from_torch(
     import torch
 
     if not isinstance(module, torch.nn.Module):
-        raise InputError(f"{shown(module)} is no torch.nn.Module; a saved file is code: load it in your own program")
+        raise InputError(
+            f"{shown(module)} is no torch.nn.Module; a saved file is code: load it in your own "
+            "program, and give the module (of an ExportedProgram, its module())"
+        )
     for ports, which in ((inputs, "inputs"), (outputs, "outputs"), (state, "state")):
         if isinstance(ports, str) or not isinstance(ports, Sequence):
             raise InputError(f"{which}: {shown(ports)} is no list; give one, with an entry for each")
@@ -233,14 +236,18 @@ class _Trial:
                 errors.append(error)
         else:
             batch = f"; nor does it take a batch of one: {str(errors[1]).split(': ', 1)[1]}" if errors[1:] else ""
-            raise InputError(f"{errors[0]}{batch}")
+            raise InputError(
+                f"{errors[0]}{batch}; x is one tensor of all inputs. If it takes a window of samples, compile what "
+                "torch.onnx.export writes"
+            )
         results = self._results(found)
         for result in results:
             if not isinstance(result, torch.Tensor):
                 raise InputError(f"{self.kind}: forward gives {_kind(result)}; return tensors: y, or (y, *states)")
         if len(results) != 1 + len(self.starts):
             raise InputError(
-                f"forward gives {len(results)} results; give y and {len(self.starts)} states, one for each of `state`"
+                f"forward gives {len(results)} results; give y, of all outputs, and {len(self.starts)} states, one for "
+                "each of `state`"
             )
 
     def _forms(self) -> Iterator[tuple["torch.Tensor", list["torch.Tensor"], bool]]:
