@@ -322,7 +322,7 @@ def test_a_step_with_another_number_of_results_is_refused():
         def forward(self, x, state):
             return x + state
 
-    with pytest.raises(InputError, match="forward gives 1 results; give y and 1 states"):
+    with pytest.raises(InputError, match="forward gives 1 results; give y, of all outputs, and 1 states"):
         from_torch(Forgetful(), ["u"], ["y"], state=(np.zeros(1),))
     with pytest.raises(InputError, match="name one port each"):
         from_torch(mlp(), ["u0", "u1"], ["y", "z"])

@@ -159,7 +159,7 @@ WRONG = {  # the arguments of from_torch -> what is said
     "a dict": ((On(lambda s, x: {"y": x}), ["u"], ["y"]), "gives a dict"),
     "nothing": ((On(lambda s, x: None), ["u"], ["y"]), "gives nothing"),
     "a number": ((On(lambda s, x: 1.0), ["u"], ["y"]), "gives a float"),
-    "two outputs": ((On(lambda s, x: (x, x)), ["u"], ["y"]), "2 results; give y and 0 states"),
+    "two outputs": ((On(lambda s, x: (x, x)), ["u"], ["y"]), "2 results; give y, of all outputs, and 0 states"),
     "no output of forward": ((On(lambda s, x: ()), ["u"], ["y"]), "0 results"),
     "no forward": ((nn.Module(), ["u"], ["y"]), "forward"),
     "an error": ((On(lambda s, x: 1 / 0), ["u"], ["y"]), "ZeroDivisionError"),
