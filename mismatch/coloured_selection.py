@@ -103,8 +103,13 @@ class ColouredSelection(Selection):
         return Found(claims.best, claims.fit, claims.fit, self)
 
     def refit(self, less: Hypothesis, from_: Fit) -> Fit:
-        starts = [from_, *(found for h, found in self.fits.items() if h == less)]
-        return min((super(ColouredSelection, self).refit(less, s) for s in starts), key=lambda f: f.cost)
+        starts = [(from_.likelihood, from_.values)]
+        if less in self.fits:  # of all of the recording, or of the part that was searched
+            found, here = self.fits[less], from_.likelihood
+            starts.append(
+                (found.likelihood if found.likelihood.model.recording is here.model.recording else here, found.values)
+            )
+        return min((self.search.fit(likelihood, less, values) for likelihood, values in starts), key=lambda f: f.cost)
 
     def left(self, fit: Fit) -> str:
         """What the innovations of a free run go with; where they go with nothing, what its errors go with."""
@@ -189,7 +194,8 @@ class ColouredSelection(Selection):
         for score in ranked:
             hypothesis = best.plus(score.hypothesis)
             if not self.search.skips(hypothesis):
-                found.add(self._begun(quick, hypothesis, {**current.values, **score.values}))
+                for values in (score.values, *score.others):
+                    found.add(self._begun(quick, hypothesis, {**current.values, **values}))
         runs = {h: self.runs[h] for h in found}
         return sorted(runs.items(), key=lambda f: f[1].cost + _price(f[1], current))
 

@@ -44,7 +44,7 @@ from greygate.mismatch.ruled_out import ruled_out
 from greygate.mismatch.search import WITHIN, Hypothesis, Search
 from greygate.mismatch.selection import PART, STRUCTURE, Found, Selection, shown_noise
 from greygate.mismatch.several import by_rule, modelled
-from greygate.mismatch.stretches import stretches
+from greygate.mismatch.stretches import pieces, stretches
 from greygate.mismatch.verdict import Verdict
 from greygate.mismatch.words import lines
 from greygate.plants.plant import Plant
@@ -255,6 +255,8 @@ def _diagnosis(state: State) -> Diagnosis:
 def _searched(search: Search, progress: Progress) -> tuple[Selection, Found]:
     """What the recording supports; of its stretches so many that they leave nothing hidden which all of it shows."""
     for times in count(1):
+        if search.part is search and times == 1 and (cut := pieces(search)):
+            search.part = search.over(cut)
         part = search.part
         part.take(search)
         selection = selected(part, progress)

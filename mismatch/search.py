@@ -49,6 +49,7 @@ GUESSES = (0.3, 1.0, 3.0)  # times its typical value, at which a parameter of th
 SECANT_REACH = 3.0  # times the point to which a secant is drawn, beyond which it says nothing
 UNBOUNDED = 1e3  # standard deviations that a released parameter may go in the linearised fit: no bound in practice
 PLACES = 3  # after the point, of a share
+SHAPES = 4  # numbers of a shape that no fit moves, from which fits start: far off, the likeliest is seldom the best
 SOLVED_PAIRS = 4  # times the pairs that are wanted are solved within bounds, after a ranking without bounds
 
 
@@ -91,11 +92,15 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Score:
-    """gain: the cost that a linearised fit saves. values: where the full fit starts."""
+    """gain: the cost that a linearised fit saves. values: where the full fit starts.
+
+    others: where it starts, too, if its shape is a number that no fit moves.
+    """
 
     hypothesis: Hypothesis
     gain: float
     values: Mapping[str, float]
+    others: tuple[Mapping[str, float], ...] = ()
 
 
 class Search:
@@ -121,8 +126,6 @@ class Search:
         self.part = self  # where hypotheses are compared: stretches of the recording, where all of it is too dear
         self.final, self.screen = self._likelihoods(recording)
         self.within = WITHIN
-        self.starts = {key: found for model in self.final.model.each for key, found in model.unsure.items()}
-        self.kept = {*self.toleranced, TIMING, EARLY, BLUR, *self.starts}  # what a fit takes from the one before
         self.budget, self.untried = Budget(), dict[str, None]()  # what there was no time for
         self.checked = False  # whether its columns are what rig.toml says (`misread`)
         self.between = False  # whether inputs moved between the samples
@@ -146,6 +149,16 @@ class Search:
             return Likelihood(modelled(rig, recording, self.effects, window))
 
         return over(LONG_WINDOW, LONG_SHARES), over(SHORT, SHORT_SHARES)
+
+    @property
+    def starts(self) -> dict[str, float]:
+        """Unknown that says how far a state begins off its reading -> one standard deviation of that."""
+        return {key: found for model in self.final.model.each for key, found in model.unsure.items()}
+
+    @property
+    def kept(self) -> set[str]:
+        """What a fit takes from the one before."""
+        return {*self.toleranced, TIMING, EARLY, BLUR, *self.starts}
 
     @property
     def noise(self) -> Noise:
@@ -292,7 +305,9 @@ class Search:
 
         def best(candidate: Hypothesis) -> list[Score] | None:
             with cut():
-                return sorted(self._promises(likelihood, fit, candidate, plain), key=lambda s: -s.gain)[:1]
+                found = sorted(self._promises(likelihood, fit, candidate, plain), key=lambda s: -s.gain)
+                more = [s.values for s in found[1:SHAPES] if s.gain > 0] if self._stays(candidate) else ()
+                return [replace(s, others=tuple(more)) for s in found[:1]]
             return None  # for want of time
 
         ranked = []
@@ -301,6 +316,11 @@ class Search:
             if found is None:
                 self.untried[str(given.plus(candidate))] = None
         return sorted(ranked, key=lambda s: -s.gain)
+
+    def _stays(self, candidate: Hypothesis) -> bool:
+        """Whether a shape of a candidate is one of several numbers, which no fit moves to another."""
+        free = (f for key in candidate.effects for f in self.effects[key].free)
+        return any(f.shape and f.whole and len(f.guess) > 1 for f in free)
 
     def pairs(self, likelihood: Likelihood, fit: Fit, count: int) -> list[Score]:
         """The `count` pairs that together promise most at `fit`, where each alone may promise little.

@@ -14,6 +14,9 @@ from greygate.plants.recording import Recording
 DEAR = 100_000  # steps of a simulator, in all runs of one linearisation: about half a second of one core
 COUNT = 4  # stretches: they shall see what differs along the recording
 FEWEST = 3  # windows in a stretch, at least
+PHASE = 0.1  # rad: a run that is so far from its reading has lost the phase of what acts several times a turn
+MOST = 16  # pieces: the begin of each is fitted, too
+SHORTEST = 50  # samples of a piece, at least
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,30 @@ def stretches(search: Search, times: int = 1) -> Runs | None:
     return Runs.of([_part(recording, int(first), length) for first in firsts])
 
 
-def _part(recording: Recording, first: int, length: int) -> Stretch:
+def pieces(search: Search) -> Runs | None:
+    """Pieces of a recording that begin at their readings; None where its free run may be searched.
+
+    An angle that goes round must be followed to a part of a turn to show what acts by it. Pieces are as long as the
+    plant follows that, calibrated to all of them. What no sensor shows begins at 0 in each, so all must be shown.
+    """
+    plant, recording, predict = search.rig.plant, search.final.model.recording, search.rig.predict
+    moved = {s: x for s, x in plant.states.items() if s not in plant.shown}
+    hidden = moved.keys() - recording.channels.keys() - {x.rate for s, x in moved.items() if s in recording.channels}
+    turning = [i for i, channel in enumerate(predict) if channel in moved and np.ptp(recording[channel]) > 2 * np.pi]
+    if search.rig.window or isinstance(recording, Runs) or hidden or not turning:
+        return None
+    cut, count, length = search, 1, recording.samples
+    while length >= SHORTEST:
+        fit = cut.fit(cut.final, Hypothesis(), {})
+        if np.all(np.mean(fit.likelihood.residual(fit.values)[:, turning] ** 2, axis=0) < PHASE**2):
+            return cut.final.model.recording if count > 1 else None
+        count, length = 2 * count, length // 2
+        firsts = np.linspace(0, recording.samples - length, min(count, MOST)).astype(int)
+        cut = search.over(Runs.of([_part(recording, int(n), length, f" {k}") for k, n in enumerate(firsts)]))
+    return None
+
+
+def _part(recording: Recording, first: int, length: int, name: str = "") -> Stretch:
     channels = {name: signal[first : first + length] for name, signal in recording.channels.items()}
     begin = first * recording.dt
-    return Stretch(recording.dt, channels, recording.units, recording.source, recording.history, begin)
+    return Stretch(recording.dt, channels, recording.units, recording.source + name, recording.history, begin)
