@@ -4,13 +4,15 @@ A velocity may be the rate of a state, a state, a derived input or a definition;
 balance of its own. A place says by which name each goes in an entry of `general.toml`.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from fractions import Fraction
 from itertools import combinations
 
+import numpy as np
+
 from greygate.mismatch.rig import Rig
 from greygate.plants import units
-from greygate.plants.expressions import Name, names, parse
+from greygate.plants.expressions import Name, names, parse, replaced
 from greygate.plants.plant import Definition, Equation, Plant
 
 Place = dict[str, str]
@@ -20,6 +22,8 @@ LENGTHS = ("m", "mm", "cm", "µm", "um", "km", "in", "rad", "mrad", "deg", "°",
 ANGLES = ("rad",)  # whose sine and cosine are taken as they are
 FAST = ("rpm", "Hz")  # rates that need no second below
 LOADS, TILTS = ("payload",), ("gravity_x", "gravity_y", "gravity_z")  # elements that only a simulator has
+LONGEST_LINK = 400  # characters: a term may have so many, several times over
+TRIED, ABOUT_ONE = 3, (0.5, 2.0)  # values at which a link is asked whether both of its ends may move together
 PAIRS = 6  # of states, between which something may flow or act: those of the first states
 
 
@@ -42,7 +46,8 @@ def places(rig: Rig) -> dict[str, list[Place]]:
         "tilt": _elements(plant, TILTS),
         "pair": _pairs(plant, stored, "s", "balance"),
         "bodies": _pairs(plant, [p for p in moving if p["v"] in plant.states], "v", "motion"),
-        "springs": _pairs(plant, [p for p in moving if p["v"] in plant.states and "x" in p], "x", "motion"),
+        "springs": (joined := _pairs(plant, [p for p in moving if p["v"] in plant.states and "x" in p], "x", "motion")),
+        "links": [*_links(plant, joined)],
     }
 
 
@@ -204,6 +209,46 @@ def _pairs(plant: Plant, found: list[Place], key: str, where: str) -> list[Place
         if alike and unit_of_place(plant, one[where]) == unit_of_place(plant, other[where]):
             out.append({f"{k}_{i}": v for i, place in ((1, one), (2, other)) for k, v in place.items()})
     return out[:PAIRS]
+
+
+def _links(plant: Plant, pairs: list[Place]) -> Iterator[Place]:
+    """Pairs that something links: its terms in both balances, and these with a play, within which they do not act."""
+    for pair in pairs:
+        (x, other), (v, its) = ([pair[f"{key}_{i}"] for i in (1, 2)] for key in "xv")
+        links = [_between(plant, (x, other), (v, its), pair[f"motion_{i}"]) for i in (1, 2)]
+        play = f"play_{x}_{other}"
+        slack = {
+            x: f"({x} - max(min({x} - {other}, {play}), -{play}))",
+            v: f"({v} - when(max({play} - abs({x} - {other}), 0), {v} - {its}))",
+        }
+        if all(links):
+            within = {f"slack_{i}": replaced(link, slack) for i, link in enumerate(links, 1)}
+            yield pair | {f"link_{i}": link for i, link in enumerate(links, 1)} | within
+
+
+def _between(plant: Plant, positions: Sequence[str], velocities: Sequence[str], where: str) -> str:
+    """The terms of a balance that depend on both positions; empty where not only on how far these are apart."""
+    texts = []
+    for text in plant.equations[where].texts:
+        for definition in reversed(plant.needed(names([text]))):
+            whole = " + ".join(f"({t})" for t in definition.terms.values())
+            text = replaced(text, {definition.symbol: f"({whole})"})
+        if {*positions} <= names([text]):
+            texts.append(f"({text})")
+    link = " + ".join(texts)
+    together = dict.fromkeys(positions, 1.0) | dict.fromkeys(velocities, -1.0)
+    return link if 0 < len(link) <= LONGEST_LINK and _unmoved(link, together) else ""
+
+
+def _unmoved(text: str, together: Mapping[str, float]) -> bool:
+    """Whether an expression is the same where some of its symbols move together, at a few values of all."""
+    random, found = np.random.default_rng(0), parse(text)
+    for _ in range(TRIED):
+        values = dict(zip(found.names, random.uniform(*ABOUT_ONE, len(found.names)), strict=True))
+        moved = {s: value + together.get(s, 0.0) for s, value in values.items()}
+        if not np.isclose(found.over(values), found.over(moved)):
+            return False
+    return True
 
 
 def _coupled(plant: Plant, one: str, other: str) -> bool:

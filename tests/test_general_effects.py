@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_plants import write
+from test_shapes import play, rig_of
 
 from greygate.mismatch import effects as table
 from greygate.mismatch import filters, places
@@ -13,6 +14,7 @@ from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
 from greygate.mismatch.seen import Seen
 from greygate.plants import Plant, simulate, units
+from greygate.plants.expressions import parse
 
 DT = 5e-3
 MOTOR = """
@@ -195,6 +197,27 @@ def test_what_a_mass_matrix_couples_are_not_two_bodies(rigs):
     assert len(apart["bodies"]) == len(apart["springs"]) == 1
     assert found["bodies"] == found["springs"] == []
     assert len(found["v"]) == 2
+
+
+def test_a_play_is_in_what_links_two_bodies_by_how_far_they_are_apart(tmp_path):
+    rig = rig_of(tmp_path / "rig", play)
+    plant = rig.plant
+
+    def links(shaft):
+        definition = replace(plant.definitions["coupling"], terms={"spring": shaft})
+        return places.places(replace(rig, plant=replace(plant, definitions={"coupling": definition})))["links"]
+
+    (link,) = links("k * (q_m - q_l) + d * (w_m - w_l)")
+    values = {"k": 30.0, "d": 0.1, "q_m": 0.5, "q_l": 0.1, "w_m": 2.0, "w_l": 1.0, "play_q_m_q_l": 0.0}
+
+    def torque(side, apart):
+        return [parse(link[f"{side}_{i}"]).over(values | {"play_q_m_q_l": apart}) for i in (1, 2)]
+
+    assert torque("link", 0.0) == torque("slack", 0.0) == pytest.approx([-12.1, 12.1])
+    assert torque("slack", 0.3) == pytest.approx([-3.1, 3.1])
+    assert torque("slack", 0.5) == pytest.approx([0.0, 0.0])
+    assert links("k * (q_m - 2 * q_l)") == []  # a gear between them: they are not two ends of a spring
+    assert links("k * q_m") == []
 
 
 def test_what_the_rigs_own_table_has_is_not_offered_under_a_second_name(rigs):
