@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greygate.mismatch.places import ANGLES
 from greygate.mismatch.runs import Runs
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.recording import Recording
@@ -58,7 +59,8 @@ def pieces(search: Search) -> Runs | None:
     plant, recording, predict = search.rig.plant, search.final.model.recording, search.rig.predict
     moved = {s: x for s, x in plant.states.items() if s not in plant.shown}
     hidden = moved.keys() - recording.channels.keys() - {x.rate for s, x in moved.items() if s in recording.channels}
-    turning = [i for i, channel in enumerate(predict) if channel in moved and np.ptp(recording[channel]) > 2 * np.pi]
+    angles = (channel in moved and plant.unit(channel) in ANGLES for channel in predict)
+    turning = [i for i, angle in enumerate(angles) if angle and np.ptp(recording[predict[i]]) > 2 * np.pi]
     if search.rig.window or isinstance(recording, Runs) or hidden or not turning:
         return None
     cut, count, length = search, 1, recording.samples

@@ -1,6 +1,7 @@
 """Effects that machines on a desk have, named where the noise is not told: play, overflow, poles, hysteresis."""
 
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,6 +168,8 @@ def test_a_run_that_loses_the_phase_of_an_angle_is_searched_in_pieces_that_begin
     assert np.array_equal(cut["q"], recording["q"])
     part = search.over(cut)
     assert {s.partition("@")[0] for s in part.starts} == {"begins_q", "begins_w"}
+    metres = replace(rig.plant, states=rig.plant.states | {"q": replace(rig.plant.states["q"], unit="m")})
+    assert pieces(Search(replace(rig, plant=metres), recording, {})) is None, "a way is no angle"
     still = rig_of(tmp_path / "still", hysteresis)
     assert pieces(Search(still, still.to_explain(), known(still, still.to_explain()))) is None
 
