@@ -63,14 +63,15 @@ def pieces(search: Search) -> Runs | None:
     turning = [i for i, angle in enumerate(angles) if angle and np.ptp(recording[predict[i]]) > 2 * np.pi]
     if search.rig.window or isinstance(recording, Runs) or hidden or not turning:
         return None
-    cut, count, length = search, 1, recording.samples
+    cut, runs, count, length = search, None, 1, recording.samples
     while length >= SHORTEST:
         fit = cut.fit(cut.final, Hypothesis(), {})
         if np.all(np.mean(fit.likelihood.residual(fit.values)[:, turning] ** 2, axis=0) < PHASE**2):
-            return cut.final.model.recording if count > 1 else None
+            return runs
         count, length = 2 * count, length // 2
         firsts = np.linspace(0, recording.samples - length, min(count, MOST)).astype(int)
-        cut = search.over(Runs.of([_part(recording, int(n), length, f" {k}") for k, n in enumerate(firsts)]))
+        runs = Runs.of([_part(recording, int(n), length, f" {k}") for k, n in enumerate(firsts)])
+        cut = search.over(runs)
     return None
 
 
