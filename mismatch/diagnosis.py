@@ -35,6 +35,7 @@ OPEN = 0.9  # of confidence in a name that is `_doubtful`
 DETAIL = 3e-3  # of a misfit: two explanations that differ by less may do so because no model is exact
 ELSE = 0.01  # weight of something that no table has, beside a name whose fit leaves nothing: machines are many
 FURTHER = 2.0  # times an error, beyond which a recording's own chance does not make it
+LITTLE = 0.1  # of the calibrated error: what keeps less is explained, however much less there is elsewhere
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
 DIGITS = 4  # after the point, of a confidence
 SAID = ("formula", "as_well", "curve")  # of a place, besides what is said of each
@@ -335,9 +336,9 @@ class Diagnosis:
         found = []
         for channel, held in self.fits.get("holdout", {}).items():
             own = self.fits["identify"][channel]
-            times, shares = held["corrected"] / (own["corrected"] + TINY), [_kept(held), _kept(own)]
-            if self.best.size and min(times, shares[0] / (shares[1] + TINY)) > FURTHER:
-                kept = f"{shares[0]:.0%} of the calibrated error of {channel}, {shares[1]:.0%} where it was learnt from"
+            times, there, here = held["corrected"] / (own["corrected"] + TINY), _kept(held), _kept(own)
+            if self.best.size and there > LITTLE and min(times, there / (here + TINY)) > FURTHER:
+                kept = f"{there:.0%} of the calibrated error of {channel}, {here:.0%} where it was learnt from"
                 found.append(f"the held-out recording keeps {kept}")
         return found
 

@@ -625,3 +625,25 @@ def test_what_is_asked_once_more_has_the_values_that_the_search_gave_it(monkeypa
     monkeypatch.setattr(finding, "earned", lambda *given: left)
     assert finding._regained(state) is state
     assert asked == {Hypothesis(("drag", "ripple")): {"c": 2.0, "ripple_at": 0.3}}
+
+
+@pytest.mark.parametrize(
+    ("own", "held", "said"),
+    [
+        (
+            (1.0, 0.1),
+            (2.0, 1.0),
+            "the held-out recording keeps 50% of the calibrated error of x, 10% where it was learnt from",
+        ),
+        ((1.0, 0.1), (2.0, 0.39), ""),  # less than twice the share
+        ((1.0, 0.1), (0.2, 0.15), ""),  # less than twice the error: what is left may be the noise
+        ((1.0, 0.01), (20.0, 1.0), ""),  # nearly nothing of what was missing
+    ],
+)
+def test_a_correction_that_holds_far_less_on_the_next_recording_says_so(own, held, said):
+    errors = ({"calibrated": before, "corrected": after} for before, after in (own, held))
+    fits = dict(zip(("identify", "holdout"), ({"x": e} for e in errors), strict=True))
+    found = SimpleNamespace(fits=fits, best=Hypothesis(("friction",)))
+    assert Diagnosis._not_the_next(found) == [said] * bool(said)
+    found.best = Hypothesis()
+    assert Diagnosis._not_the_next(found) == []
