@@ -423,7 +423,7 @@ class Program:
             codes, fix, given = port.codes(values[port.name]), port.signal.fix, np.asarray(values[port.name], float)
             count = int(np.count_nonzero((codes < fix.lo) | (codes > fix.hi)))
             if count:
-                least, most = sorted(code * fix.lsb * port.scale + port.offset for code in (fix.lo, fix.hi))
+                least, most = sorted(port.values(np.array([fix.lo, fix.hi])).tolist())
                 lowest, highest = float(given.min()), float(given.max())
                 found[port.name] = Clipped(count, count / codes.size, (least, most), (lowest, highest))
         return found

@@ -109,7 +109,10 @@ class Source:
         records, quantized = read_records(self.network(), self.recordings), self.quantized()
         given, rounded = [r.inputs for r in records.values()], None
         if quantized:
-            program = compile_declared(quantized, records, self.training, self.period).program
+            try:
+                program = compile_declared(quantized, records, self.training, self.period).program
+            except InputError as error:  # the float network can be used nevertheless
+                return Beside("the program", why=f"no program is exact ({error})")
             given = [{p.name: p.held(inputs[p.name]) for p in program.inputs} for inputs in given]
             rounded = partial(_outputs, program)
         found = [b for inputs in given if (b := compared(self.name, inputs, rounded))]

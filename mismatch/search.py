@@ -17,7 +17,7 @@ from greygate.mismatch.cores import each
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
 from greygate.mismatch.linearised import Normal, index, nothing, pair_gains, released_gains, saving, solve
-from greygate.mismatch.model import BLUR, EARLY, MOST_EARLY, TIMING, TINY
+from greygate.mismatch.model import BEGINS, BLUR, EARLY, MOST_EARLY, TIMING, TINY
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import FEWEST, IN, Rig
 from greygate.mismatch.scales import memory, span
@@ -185,11 +185,16 @@ class Search:
     def in_part(self, fit: Fit) -> Fit:
         """A fit to the whole recording, as it is in the part that is searched."""
         part = self.part.final
-        return fit if _over(fit, part) else part.fit(fit.unknowns, fit.values, iterations=0)
+        return fit if _over(fit, part) else part.fit(self.part.begun(fit.unknowns), fit.values, iterations=0)
 
     def in_whole(self, fit: Fit) -> Fit:
         """A fit to the part that is searched, fitted to the whole recording."""
-        return fit if _over(fit, self.final) else self.final.fit(fit.unknowns, fit.values)
+        return fit if _over(fit, self.final) else self.final.fit(self.begun(fit.unknowns), fit.values)
+
+    def begun(self, unknowns: Iterable[Unknown]) -> list[Unknown]:
+        """Unknowns with the begins of this search's recordings in the place of those of others."""
+        own = [Unknown(key, 0.0, deviation, 1.0) for key, deviation in self.starts.items()]
+        return [*(u for u in unknowns if not u.symbol.startswith(BEGINS)), *own]
 
     def under(self, noise: Noise) -> "Search":
         """This search with another noise; fits of the one before are no longer comparable."""
@@ -226,7 +231,7 @@ class Search:
             own = self.final.model.each[0].early_by
             scale, reach = max(EXACT * self.rig.dt, own), max(FARTHEST * self.rig.dt, 2 * own)
             found.append(Unknown(TIMING, 0.0, scale, 1.0, -reach, reach))
-        found += [Unknown(key, 0.0, deviation, 1.0) for key, deviation in self.starts.items()]
+        found = self.begun(found)
         if self.between:
             found.append(Unknown(EARLY, MIDDLE, SPREAD, 1.0, 0.0, MOST_EARLY))
         if self.final.model.finer and any("a" in self.effects[key].depends_on for key in hypothesis.effects):
@@ -506,7 +511,8 @@ class Search:
     ) -> Fit:
         """The full fit of a hypothesis, from `values` on."""
         free = {f.symbol for key in hypothesis.effects for f in self.effects[key].free}
-        start = {s: v for s, v in values.items() if s in free or s in self.kept}
+        kept = free | self.kept
+        start = {s: v for s, v in values.items() if s in kept}
         start.update(self.constants(hypothesis))
         if likelihood is self.screen and likelihood is not self.final:
             options = {"enough": ROUGH, "slack": SLACK, **options}

@@ -217,6 +217,17 @@ def test_the_line_of_trust_compares_the_program_with_a_model_that_rounds(model, 
         assert worse.largest > 1e-3, "a program that does not answer as the model is seen"
 
 
+def test_a_model_that_has_no_program_is_no_less_a_network(tmp_path):
+    m = Model()
+    path = m.saved(tmp_path / "model.onnx", REFUSED["needs 25 bits, more than the 24 that float32 holds"](m), outputs=3)
+    ports = load_quantized(path).network
+    columns = {p.name: np.ones(N) for p in (*ports.inputs, *ports.outputs)}
+    Recording(1e-3, columns, dict.fromkeys(columns, "1")).write_csv(tmp_path / "r.csv")
+    source = Source(str(path), {"r": str(tmp_path / "r.csv")})
+    assert len(source.records()["r"].inputs["x_1"]) == N
+    assert "no program is exact (Mul_1_out_1_sum: its sum needs 25 bits" in source.imported.why
+
+
 def scaled(m):
     """Scales of any size: of an input, of each column of the weights, of what is hidden, of the output."""
     h = m.quant("x", 0.021, 8)

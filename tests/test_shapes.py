@@ -15,7 +15,7 @@ from greygate.mismatch.effects import known
 from greygate.mismatch.fit import Likelihood, Unknown
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
-from greygate.mismatch.search import Search
+from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.seen import Seen
 from greygate.mismatch.stretches import pieces
 from greygate.mismatch.verdict import Verdict
@@ -168,6 +168,9 @@ def test_a_run_that_loses_the_phase_of_an_angle_is_searched_in_pieces_that_begin
     assert np.array_equal(cut["q"], recording["q"])
     part = search.over(cut)
     assert {s.partition("@")[0] for s in part.starts} == {"begins_q", "begins_w"}
+    fit = part.fit(part.final, Hypothesis(), {}, iterations=0)
+    assert {*part.starts} < {u.symbol for u in fit.unknowns}
+    assert [u.symbol for u in search.in_whole(fit).unknowns] == ["J", "b"], "what begins in a piece is not its own"
     metres = replace(rig.plant, states=rig.plant.states | {"q": replace(rig.plant.states["q"], unit="m")})
     assert pieces(Search(replace(rig, plant=metres), recording, {})) is None, "a way is no angle"
     still = rig_of(tmp_path / "still", hysteresis)
