@@ -339,6 +339,22 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path, number, code
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize(("asked", "lines"), [("", 1), ("cli._stopped.append(cli.TERMINATED)", 0)])
+def test_what_a_signal_left_half_made_is_not_told(asked, lines):
+    program = f"""
+import sys
+import greygate.cli as cli
+class Half:
+    def __del__(self):
+        self.handle.close()
+{asked or "pass"}
+sys.unraisablehook = cli._ignored
+Half()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stderr.count("no attribute 'handle'") == lines
+
+
 @pytest.mark.parametrize("second", [0.1, 0.4])
 def test_ctrl_c_while_it_starts_is_one_line_too(second, tmp_path):
     """Of a command that takes seconds, so that it cannot be done before."""

@@ -123,7 +123,8 @@ def _ignored(error: Any) -> None:
     """Send a Ctrl-C or `kill` again that came while Python ran a callback, whose errors it ignores."""
     number = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}.get(error.exc_type)
     if number is None:
-        sys.__unraisablehook__(error)
+        if not _stopped:  # what a signal left half made cannot close itself
+            sys.__unraisablehook__(error)
     else:
         if number == signal.SIGTERM:
             signal.signal(number, _terminated)
