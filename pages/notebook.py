@@ -6,10 +6,11 @@ from html import escape
 import numpy as np
 from markupsafe import Markup
 
-from greygate.emulator.emulation import emulate
+from greygate.emulator.emulation import Emulation, emulate
 from greygate.hardware.build import Project
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.models.network import Network
+from greygate.models.training.record import Record
 from greygate.pages import templates
 from greygate.pages.diagnosis.residual import Diagnosed
 from greygate.pages.diagnosis.sections import channels, facts
@@ -20,6 +21,7 @@ STEPS = 200  # of a step response
 WIDTH, HEIGHT = 560, 210  # px of a picture
 KINDS = ("model", "fixed", "cost")  # of curves, in the order of the outputs
 DRAWN = 1000  # samples of a picture, from the first
+WORDS, WORD = 40, 100  # steps of a waveform, and px of a port in it
 ROW, ABOVE, FACTS = 31, 90, 170  # px of a table's row, of what stands around it, of a headline
 Rows = Sequence[Mapping[str, object]]
 
@@ -73,7 +75,7 @@ def _size(value: float, unit: str) -> str:
 
 
 def project(found: Project) -> str:
-    """The hardware's answer to its first scenario beside what was recorded, and its formats."""
+    """The hardware's answer to its first scenario beside what was recorded, its waveform, and its formats."""
     name, record = next(iter(found.records().items()))
     answer = emulate(found.program, {n: x[:DRAWN] for n, x in record.inputs.items()})
     ports = [
@@ -93,14 +95,36 @@ def project(found: Project) -> str:
                 chart(lines, x=f"time [s], {name}", y=labelled(p.name, unit), width=WIDTH, height=HEIGHT),
             )
         )
+    pictures.append((f"the words on its ports, first {WORDS} steps of {name}", _waveform(found, record, answer)))
     title = f"{found.program.name}: {', '.join(found.facts['architectures'])}, in {found.folder}"
-    return framed(title, [], pictures, ports)
+    return framed(title, [], pictures, ports, more=max(0, WORD * len(ports) - HEIGHT))
+
+
+def _waveform(found: Project, record: Record, answer: Emulation) -> Markup:
+    """The integers that stand on each port, step by step; of a vector the first."""
+    inputs, outputs = found.program.inputs, found.program.outputs
+    values = {**{p.name: record.inputs[p.name] for p in inputs}, **{p.name: answer.outputs[p.name] for p in outputs}}
+    drawn = []
+    for p in (*inputs, *outputs):
+        words = p.codes(values[p.name][:WORDS]).reshape(-1, p.signal.size)[:, 0]
+        steps = np.repeat(np.arange(len(words) + 1), 2)[1:-1]
+        line = Curve(steps, np.repeat(words, 2), "model" if p in inputs else "fixed")
+        drawn.append(chart([line], x="step", y=p.name, width=WIDTH, height=WORD))
+    return Markup("").join(drawn)
 
 
 def framed(
-    title: str, told: Sequence, pictures: Sequence[tuple[str, Markup]], rows: Rows, high: int = HEIGHT + 70
+    title: str,
+    told: Sequence,
+    pictures: Sequence[tuple[str, Markup]],
+    rows: Rows,
+    high: int = HEIGHT + 70,
+    more: int = 0,
 ) -> str:
-    """A page within a frame: its style stays its own. pictures: (what it shows, drawing), each `high` px."""
+    """A page within a frame: its style stays its own.
+
+    pictures: (what it shows, drawing), each `high` px, and `more` px in all.
+    """
     page = templates.render("notebook.html", title=title, facts=told, pictures=pictures, rows=rows)
-    height = ABOVE + FACTS * bool(told) + high * len(pictures) + ROW * (len(rows) + 1)
+    height = ABOVE + FACTS * bool(told) + high * len(pictures) + more + ROW * (len(rows) + 1)
     return f'<iframe srcdoc="{escape(str(page))}" style="width: 100%; height: {height}px; border: 0" sandbox></iframe>'

@@ -29,9 +29,10 @@ faults: ({legible, contrast}) => {
 scrolled: () => [...document.querySelectorAll("main *")].filter(e => e.checkVisibility() && !e.closest("svg")
   && e.scrollWidth > e.clientWidth + 1 && ["auto", "scroll"].includes(getComputedStyle(e).overflowX)).length,
 
-focusable: () => [...document.querySelectorAll("a[href], button, input, select, summary, [tabindex='0']")].filter(e => e.checkVisibility()).length,
+focusable: () => [...document.querySelectorAll("a[href], button:enabled, input, select, summary, [tabindex='0']")].filter(e => e.checkVisibility() && (e.type !== "radio" || e.checked)).length, // arrows go through a group
 
 focused: () => { const e = document.activeElement; if (!e || e === document.body) return null;
   e.number = e.number || ++window.numbered || (window.numbered = 1);
-  return [e.number, getComputedStyle(e).outlineStyle !== "none", e.scrollWidth > e.clientWidth + 1 && !e.matches("a, summary, .plot")]; },
+  return [e.number, e.matches("iframe") || getComputedStyle(e).outlineStyle !== "none", // what is in a frame has its own
+    e.scrollWidth > e.clientWidth + 1 && !e.matches("a, summary, .plot")]; },
 };

@@ -13,10 +13,12 @@ import urllib.request
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
 
 import browsing
 import pytest
+from networks import delay_line, recorded_line
 from typer.main import get_command
 
 from greygate import children, cli
@@ -29,7 +31,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # Starlette names the successor of httpx
     from starlette.testclient import TestClient
 
-from greygate.app import server  # noqa: E402
+from greygate.app import server, things  # noqa: E402
 from greygate.app.forms import Form  # noqa: E402
 
 TOKEN, OWN = "s0me-t0ken-that-nobody-guesses-0123456789_abc", "http://127.0.0.1:8000"
@@ -249,6 +251,30 @@ def test_a_recording_is_dropped_looked_at_and_read_by_mouse_and_by_keyboard(serv
     assert (folder / "dark.csv").read_text() == (folder / "light.csv").read_text()
 
 
+@pytest.mark.nightly
+@pytest.mark.skipif(bool(browsing.missing()), reason=f"a browser needs {browsing.missing()}")
+def test_ways_things_and_forms_are_right_in_every_size_and_theme_and_by_keyboard(sampled, served, greygate):
+    recorded_line(sampled)
+    assert greygate("compile", sampled / "line.toml", sampled / "a.csv", "--out", sampled / "line_build")[0] == 0
+    assert greygate("look", sampled / "a.csv", "--against", sampled / "line.toml", "--html", sampled / "a.html")[0] == 0
+    of = ["explain?of=axis", "explain?of=a.csv", "network?of=a.csv", "fpga?of=line.toml", "compare?of=a.csv"]
+    places = ["", "command/diagnose", "thing/line.toml", "thing/line_build", "thing/a.csv", "thing/axis", "runs/1"]
+    assert sent(served, "POST", "run/doctor", b"{}") == 200
+    opened = 0
+    with browsing.chromium() as browser:
+        for place in [*places, *(f"guide/{way}" for way in of)]:
+            for theme, size in product(browsing.THEMES, ((1280, 900), (390, 844))):
+                with browsing.opened(browser, served + place, size, theme) as (tab, told):
+                    found = browsing.looked(tab, "screen") + browsing.by_keyboard(tab) + told
+                    assert found == [], (place, theme, size)
+                    opened += 1
+        with browsing.opened(browser, f"{served}thing/a.csv", (1280, 900), "light") as (tab, told):
+            (sampled / "a.more.html").write_text("<p>new</p>")
+            tab.wait_for_selector("iframe[title='a.more.html']")
+            assert told == []
+    print(f"{opened} times without a fault")
+
+
 def test_the_address_is_of_this_computer_and_nobody_can_guess_it(served):
     address, _, token = served.rstrip("/").rpartition("/")
     assert address.startswith("http://127.0.0.1:")
@@ -460,6 +486,52 @@ def test_a_folder_that_is_deleted_meanwhile_is_said_and_not_made_again(client, f
     assert not folder.exists()
 
 
+def test_a_thing_shows_itself_and_its_pages_and_tells_when_they_change(client, sampled):
+    found = sampled / "found"
+    found.mkdir()
+    delay_line().save(found / "found")
+    (sampled / "found.html").write_text("<p>1</p>")
+    (sampled / "a.html").write_text("<p>2</p>")
+    page = client.get(at("thing/found/found.toml")).text
+    assert "Network to FPGA" in page
+    assert re.findall(r'<iframe src="[^"]*/files/([^"]+)"', page) == ["found.html"]
+    assert html.unescape(page).count("<svg class") == len(delay_line().inputs)
+    recording = client.get(at("thing/a.csv")).text
+    assert (recording.count("<svg class"), "files/a.html" in recording) == (2, True)
+    before = client.get(at("state?of=a.csv")).json()
+    (sampled / "found.html").write_text("<p>3</p>")
+    assert client.get(at("state?of=a.csv")).json() == before
+    (sampled / "a.html").write_text("<p>4</p>")
+    assert client.get(at("state?of=a.csv")).json() != before
+    assert client.get(at("thing/none.csv")).status_code == 404
+
+
+def test_a_build_shows_the_words_on_its_ports(client, folder, greygate):
+    recorded_line(folder)
+    assert greygate("compile", folder / "line.toml", folder / "a.csv", "--out", folder / "line_build")[0] == 0
+    shown = html.unescape(client.get(at("thing/line_build")).text)
+    assert "the words on its ports" in shown
+    (folder / "line_build" / "program.json").write_text("{}")
+    broken = client.get(at("thing/line_build"))
+    assert (broken.status_code, 'role="alert">' in broken.text) == (200, True)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without named pipes")
+def test_a_pipe_is_neither_a_thing_nor_read(client, folder):
+    os.mkfifo(folder / "pipe.csv")
+    assert "pipe.csv" not in client.get(at()).text
+    assert "is no file" in client.get(at("guide/network?of=pipe.csv")).text
+
+
+def test_of_very_many_things_the_first_of_each_kind_are_shown(client, sampled, monkeypatch):
+    for k in range(things.MOST + 5):
+        (sampled / f"a{k:04}.csv").touch()
+    page = client.get(at()).text
+    assert page.count('data-kind="recording"') == things.MOST
+    assert 'data-kind="rig"' in page
+    assert f"the first {things.MOST} are shown" in page
+
+
 class Mouse:
     """A tab that is used by clicks alone, which are counted."""
 
@@ -471,7 +543,10 @@ class Mouse:
         self.clicks += 1
 
     def until(self, what: str, seconds: float = PATIENCE) -> None:
-        self.tab.wait_for_selector(what, timeout=seconds * 1000)
+        """Wait for it; what a step says that ended otherwise is told."""
+        ended = ".state:text-matches('wrong|answer|failed|killed|not started')"
+        self.tab.wait_for_selector(f"{what}, {ended}", timeout=seconds * 1000)
+        assert not self.tab.locator(ended).count(), self.tab.inner_text("body")
 
 
 @pytest.fixture
@@ -499,7 +574,7 @@ def test_who_begins_with_nothing_reaches_a_named_effect_and_verified_verilog_by_
         mouse.until("a.go:text-is('Network to FPGA')", 300)
         mouse.click("a.go:text-is('Network to FPGA')")
         mouse.click("button:text-is('Compile')")
-        mouse.until("button:text-is('Verify')")
+        mouse.until("button:text-is('Verify')", 300)
         mouse.click("button:text-is('Verify')")
         mouse.until("#verdict:has-text('every bit is equal')", 300)
         assert told == []

@@ -30,7 +30,8 @@ def test_a_build_shows_what_its_hardware_answers_and_its_formats(greygate, tmp_p
     assert greygate("compile", tmp_path / "line.toml", tmp_path / "run.csv", "--out", tmp_path / "line")[0] == 0
     project = Project.open(tmp_path / "line")
     found = page(notebook.project(project))
-    assert found.count('class="line fixed"') == len(project.program.outputs)
+    assert found.count('class="line fixed"') == 2 * len(project.program.outputs)  # its values, and its words
+    assert found.count('class="line model"') == len(project.program.inputs)
     assert all(str(p.signal.fix) in found for p in project.program.inputs)
 
 

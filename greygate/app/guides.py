@@ -17,9 +17,12 @@ from greygate.app.things import Thing, inner, object_in, things, verified
 from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.files import replacing, scratch
+from greygate.hardware.build import Project
 from greygate.mismatch import effects
 from greygate.mismatch.accepted import TABLE
 from greygate.mismatch.rig import load
+from greygate.models.network import Network
+from greygate.pages import notebook
 from greygate.pages.figures import Curve, chart
 from greygate.pages.units import display, labelled
 from greygate.plants.dimensions import clashes
@@ -78,7 +81,10 @@ class Text:
 
 @dataclass(frozen=True)
 class Way:
-    """What a guide's page shows. choose: what it can begin with. page: of the last step. onward: (place, words)."""
+    """What a guide's page shows. choose: what it can begin with. page: of the last step. onward: (place, words).
+
+    shown: a drawing of what has been made.
+    """
 
     steps: list[Step] = field(default_factory=list)
     choose: list[Thing] = field(default_factory=list)
@@ -86,12 +92,11 @@ class Way:
     verdict: str = ""
     page: str = ""
     onward: tuple[str, str] = ("", "")
+    shown: Markup = field(default_factory=Markup)
 
 
 def explain(folder: Path, of: str, made: str) -> Way:
     """From a recording, or a rig, to what its simulation leaves out."""
-    if not of:
-        return Way(choose=_of(folder, "rig", "recording"))
     if not (folder / of / RIG).is_file():
         told = "Click what drives the machine and what the simulation predicts; you write the equations next."
         asks = (Ask("out", "Folder of the rig", _fresh(folder, f"{Path(of).with_suffix('').as_posix()}_rig")),)
@@ -114,8 +119,6 @@ def explain(folder: Path, of: str, made: str) -> Way:
 
 def network(folder: Path, of: str, made: str) -> Way:
     """From a recording to a network that predicts it."""
-    if not of:
-        return Way(choose=_of(folder, "recording"))
     recordings = tuple(
         t.path for t in _of(folder, "recording") if t.path != of and Path(t.path).parent == Path(of).parent
     )
@@ -136,8 +139,6 @@ def network(folder: Path, of: str, made: str) -> Way:
 
 def fpga(folder: Path, of: str, made: str) -> Way:
     """From a network to Verilog that is verified."""
-    if not of:
-        return Way(choose=_of(folder, "network"))
     here = _at("fpga", of) + "&made="
     if not (made and (folder / made / "compile.json").is_file()):
         recordings = _learnt(folder, of)
@@ -155,13 +156,12 @@ def fpga(folder: Path, of: str, made: str) -> Way:
     if said:
         steps.append(Step("Report", "What fixed point costs, as a page.", "report", "Make the page", here + made,
                           {"folders": made, "html": page}))  # fmt: skip
-    return Way(steps, verdict=SAID.get(said, ""), page=_page(folder, page))
+    shown = sections(folder, made, "build") if said else Markup()
+    return Way(steps, verdict=SAID.get(said, ""), page=_page(folder, page), shown=shown)
 
 
 def compare(folder: Path, of: str, made: str) -> Way:
     """Several models over one recording."""
-    if not of:
-        return Way(choose=_of(folder, "recording"))
     known = _of(folder, "network", "build", "rig")
     models = [t.path for t in known] + [
         f"{t.path}={p}" for t in known if (p := _page(folder, f"{t.path}.diagnosis.json"))
@@ -182,17 +182,35 @@ def _settled(path: Path) -> int:
     return found if isinstance(found, int) else 0
 
 
-WAYS: dict[str, tuple[str, Callable[[Path, str, str], Way]]] = {
-    "explain": ("Explain a recording", explain),
-    "network": ("Network from a recording", network),
-    "fpga": ("Network to FPGA", fpga),
-    "compare": ("Compare models", compare),
+WAYS: dict[str, tuple[str, Callable[[Path, str, str], Way], tuple[str, ...]]] = {
+    "explain": ("Explain a recording", explain, ("rig", "recording")),
+    "network": ("Network from a recording", network, ("recording",)),
+    "fpga": ("Network to FPGA", fpga, ("network",)),
+    "compare": ("Compare models", compare, ("recording",)),
 }
+"""Name -> title, what shows it, the kinds of things that it begins with."""
+
+
+def guide(name: str, folder: Path, of: str, made: str) -> Way:
+    """A way that begins with `of`, or what it can begin with. Raises InputError for what cannot be read."""
+    _, way, kinds = WAYS[name]
+    return way(folder, of, made) if of else Way(choose=_of(folder, *kinds))
+
+
+def sections(folder: Path, path: str, kind: str) -> Markup:
+    """What a thing shows of itself. Raises InputError for one that cannot be read."""
+    if kind == "recording":
+        return Markup("").join(drawn for _, drawn in drawings(folder / path))
+    if kind == "build":
+        return Markup(notebook.project(Project.open(folder / path)))
+    return Markup(notebook.network(Network.load(str(folder / path)))) if kind == "network" else Markup()
 
 
 def drawings(path: Path) -> tuple[tuple[str, Markup], ...]:
     """(name, drawing) of each channel of a recording. Raises InputError as `read_channels`."""
-    if path.is_file() and path.stat().st_size > DRAWN:
+    if not path.is_file():
+        raise InputError(f"{path.name}: is no file; choose another")
+    if path.stat().st_size > DRAWN:
         raise InputError(f"{path.name}: above {DRAWN >> 20} MB nothing is drawn here; use the command's own form")
     return tuple((c.name, _drawn(c)) for c in read_channels(path, unitless=UNKNOWN))
 

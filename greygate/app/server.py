@@ -8,14 +8,16 @@ from collections.abc import Awaitable, Callable, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader
+from markupsafe import Markup
 
 from greygate import children
 from greygate.app import guides
 from greygate.app.forms import Form, line
 from greygate.app.runs import Run, Runs
-from greygate.app.things import TAKEN, things
+from greygate.app.things import MOST, TAKEN, Thing, mark, things
 from greygate.errors import InputError, brought_by, shown
 from greygate.files import replacing
 from greygate.machines.samples import DEMOS
@@ -95,12 +97,37 @@ class Pages:
         found = self.templates.get_template(template).render(base=base, style=self.style, **context)
         return HTMLResponse(found, headers=HEADERS)
 
-    async def index(self, request: Request) -> Response:
-        runs = [run.told() for run in reversed(self.runs.runs.values())]
+    def index(self, request: Request) -> Response:
+        """It scans the folder, so it runs beside the other answers, as do the next three."""
+        runs = [run.told() for run in reversed(list(self.runs.runs.values()))]
         return self.shown(
-            "index.html", folder=self.folder.name, things=things(self.folder), forms=self.forms, runs=runs,
-            ways=guides.WAYS, samples=self._samples(),
+            "index.html", folder=self.folder.name, things=(found := things(self.folder)), forms=self.forms, runs=runs,
+            ways=guides.WAYS, samples=self._samples(), most=MOST, mark=mark(found), watched="state",
         )  # fmt: skip
+
+    def state(self, request: Request) -> Response:
+        """The mark of the folder, or of a thing and its pages."""
+        return JSONResponse({"mark": mark(self._of(request.query_params.get("of")))}, headers=HEADERS)
+
+    def _of(self, path: str | None) -> list[Thing]:
+        """What lies in the folder; or a thing and its pages, empty where there is none."""
+        found = things(self.folder)
+        if path is None:
+            return found
+        of = [t for t in found if t.path == path]
+        return [*of, *(t for t in found if of and t is not of[0] and of[0].has(t))]
+
+    def thing(self, request: Request) -> Response:
+        """What a thing shows of itself, its pages, and what begins with it."""
+        path = request.path_params["path"]
+        if not (found := self._of(path)):
+            raise HTTPException(404, "no such thing")
+        try:
+            shown, wrong = guides.sections(self.folder, path, found[0].kind), ""
+        except InputError as error:
+            shown, wrong = Markup(), str(error)
+        context = {"thing": found[0], "pages": found[1:], "mark": mark(found), "watched": f"state?of={quote(path)}"}
+        return self.shown("thing.html", title=path, shown=shown, wrong=wrong, ways=guides.WAYS, **context)
 
     def _samples(self) -> list[tuple[str, str, str]]:
         """(name, what it is, where the page goes on) of each sample that the folder has not."""
@@ -113,9 +140,9 @@ class Pages:
         of, made = (request.query_params.get(key, "") for key in ("of", "made"))
         for given in (of, made):
             self._within(given)
-        title, way = guides.WAYS[name]
+        title, *_ = guides.WAYS[name]
         try:
-            found, wrong = way(self.folder, of, made), ""
+            found, wrong = guides.guide(name, self.folder, of, made), ""
         except InputError as error:
             found, wrong = guides.Way(), str(error)
         return self.shown("guide.html", title=title, way=found, name=name, of=of, wrong=wrong, samples=self._samples())
@@ -253,6 +280,7 @@ def site(folder: Path, commands: Mapping[str, Any], token: str) -> Guard:
         Route("/", pages.index), Route("/command/{name}", pages.form), Route("/runs/{number:int}", pages.run),
         Route("/line/{name}", pages.said, methods=["POST"]), Route("/run/{name}", pages.start, methods=["POST"]),
         Route("/runs/{number:int}/log", pages.log), Route("/runs/{number:int}/cancel", pages.cancel, methods=["POST"]),
+        Route("/state", pages.state), Route("/thing/{path:path}", pages.thing),
         Route("/guide/{name}", pages.guide), Route("/check/{path:path}", pages.check, methods=["POST"]),
         Route("/text/{path:path}", pages.save, methods=["POST"]),
         Route("/files/{path:path}", pages.file), Route("/files/{path:path}", pages.add, methods=["PUT"]),
