@@ -320,7 +320,8 @@ class _Quantizer:
         for port, w in layer.weights.items():
             source, delay = self.feeds[f"{name}.{port}"]
             signal = self._delayed(source, delay)
-            unrounded = source == name or lowered == Op.AFFINE or sign_test or layer.function.steep
+            fine = layer.function.steep or layer.function.periodic
+            unrounded = source == name or lowered == Op.AFFINE or sign_test or fine
             reads.append((signal if unrounded else self._narrow(signal), w))
         if lowered == Op.AFFINE:
             gain = min(loop_gain(self._loops(name)), self.formats.horizon)
@@ -334,7 +335,10 @@ class _Quantizer:
             frac, reach = self._argument(layer.activation, name, out.fix)
             fix = self.formats.signals.get(pre, Fix(frac + reach + 1, frac))
             signal = Signal(pre, layer.size, fix)
-            self._affine(signal, layer.bias, reads)
+            if layer.function.periodic:  # whole turns are left out, and weights tell them from their parts
+                self._affine(signal, layer.bias, reads, max(0, self.fix_bits(pre)), overflow=Overflow.WRAP)
+            else:
+                self._affine(signal, layer.bias, reads)
             if layer.function.steep and self.ranges[pre].low < LEAST_CODES * fix.lsb:
                 raise InputError(self._too_wide(pre, fix))
             form = Form.OCTAVES if layer.function.steep else f.tables
@@ -478,6 +482,8 @@ class _Quantizer:
 
     def _argument(self, function: str, name: str, out: Fix) -> tuple[int, int]:
         """Fraction and integer bits of a sigmoid's argument; layers of equal fraction share a table, and so a width."""
+        if ACTIVATIONS[function].periodic:
+            return self.formats.width - 1 + self.formats.wide, 0
         word, flat = self.formats.width, integer_bits(flat_from(function, out))
 
         def frac(layer: str) -> int:

@@ -122,6 +122,8 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
                 (low_one, low_other), (high_one, high_other) = np.split(a, 2), np.split(b, 2)
                 corners = [_times(x, y) for x in (low_one, high_one) for y in (low_other, high_other)]
                 a, b = np.min(corners, axis=0), np.max(corners, axis=0)
+            elif f.periodic:
+                a, b = (np.full(len(a), end) for end in f.image)
             else:
                 a, b = _at(f, a), _at(f, b)
             grow_low, grow_high = a < low[name] - 1e-12, b > high[name] + 1e-12

@@ -15,7 +15,7 @@ from greygate.compiler.lines import Goal, affordable, fit_lines
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.numbers import Fix
 from greygate.emulator.tables import Lines, Symmetry, Table
-from greygate.models.activations import ACTIVATIONS
+from greygate.models.activations import ACTIVATIONS, Activation
 from greygate.models.arithmetic import xp
 
 LARGEST_BITS = 12  # 4096 intervals
@@ -44,6 +44,11 @@ def flat_from(function: str, out: Fix) -> float:
 def _most(out: Fix) -> float:
     """The end of a format's range, one LSB above the largest value that it holds."""
     return 2.0 ** (out.width - 1 - out.frac)
+
+
+def _held(f: Activation, n: np.ndarray, out: Fix) -> np.ndarray:
+    """f within the range of a format, and 1 LSB above it, where f is 1."""
+    return np.clip(f.value(xp, n), -_most(out), _most(out))
 
 
 class Form(StrEnum):
@@ -86,7 +91,7 @@ def _lines(function: str, arg: Fix, out: Fix, budget: float, form: Form, reach: 
     f = ACTIVATIONS[function]
     assert f.symmetry, f"{function} is kept in a table, which is half of it"
     name = f"{_name(function, arg, out)}_{form}"
-    goal = Goal(lambda codes: np.minimum(f.value(xp, codes * arg.lsb), _most(out)) * 2.0**out.frac, arg, out, reach)
+    goal = Goal(lambda codes: _held(f, codes * arg.lsb, out) * 2.0**out.frac, arg, out, reach)
     if form is Form.OCTAVES:
         budget = affordable(goal, Symmetry(f.symmetry), budget, LARGEST_BITS)
     limit, aim, found = budget, budget, []
@@ -134,7 +139,7 @@ def _table(function: str, arg: Fix, out: Fix, shift: int, bits: int, interpolate
 def _worst(table: Table | Lines, codes: np.ndarray, avoidable: bool = False) -> float:
     """The largest error, or the largest that another answer to the same code could avoid."""
     f = ACTIVATIONS[table.function]
-    exact = np.minimum(f.value(xp, np.abs(codes) * table.arg.lsb), _most(table.out))
+    exact = _held(f, np.abs(codes) * table.arg.lsb, table.out)
     answers = lookup(table, codes)
     if f.symmetry != "even":  # the answer to |x| is what an answer to x means
         answers = np.where(codes < 0, (f.symmetry == "complement") * (1 << table.out.frac) - answers, answers)

@@ -15,15 +15,17 @@ class Activation:
 
     value: f of (xp, n). slope: dy/dn of (xp, y); or of (xp, y, n) where y does not tell it, and n must be summed again.
     xp is numpy, torch, `models.arithmetic.xp` or, in compiled kernels, `models.scalars`; torch finds slopes by itself.
-    So f may use arithmetic, abs, and of xp what all of them have: exp, tanh, sqrt, clip, where, ones_like, zeros_like.
-    image: least and greatest y. A function without symmetry, or with an odd one, rises monotonically; an even function
-    is monotone on either side of zero.
+    So f may use arithmetic, abs, and of xp what all of them have: exp, tanh, sqrt, floor, clip, where, ones_like,
+    zeros_like.
+    image: least and greatest y. A function without symmetry, or with an odd one, rises monotonically unless it is
+    periodic; an even function is monotone on either side of zero.
     lowered: the operation that computes it in the integer program (docs/integer-program.md). A threshold answers with
     the ends of the image, a clamp cuts n off at them.
     symmetry: how a table answers negative n from its half for n >= 0; complement is f(-n) = 1 - f(n).
     flat_from: where a table may end, of (decades, most): the n beyond which f is within exp(-decades) of its limit, or
     above `most`.
     rows: sums that one neuron forms. steep: without bound towards n = 0, from where the segments of its table grow.
+    periodic: of period 2, so its sum may lose what is left of the point.
     """
 
     value: Callable[[Any, Any], Any]
@@ -34,6 +36,7 @@ class Activation:
     flat_from: Callable[[float, float], float] | None = None
     rows: int = 1
     steep: bool = False
+    periodic: bool = False
 
     def __post_init__(self) -> None:
         if self.lowered == "table" and not (self.symmetry and self.flat_from):
@@ -50,7 +53,7 @@ class Activation:
     @property
     def is_sigmoid(self) -> bool:
         """Whether it rises from one limit to another and bends all the way, as tansig does."""
-        return self.lowered == "table" and self.symmetry in ("odd", "complement")
+        return self.lowered == "table" and self.symmetry in ("odd", "complement") and not self.periodic
 
 
 def _select(xp, n):
@@ -103,7 +106,59 @@ def _normal(xp, n):
     return xp.where(n >= 0, 1.0 - tail, tail)
 
 
+_SINE = tuple((-1.0) ** k * math.pi ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(10, -1, -1))
+
+
+def _sine(xp, n):
+    """sin(pi n) by its series, exact to a bit up to n = 1 / 2."""
+    turned = n - 2.0 * xp.floor(0.5 * n + 0.5)
+    rest = xp.where(abs(turned) > 0.5, xp.where(turned > 0, 1.0 - turned, -1.0 - turned), turned)
+    found = 0.0 * rest
+    for c in _SINE:
+        found = found * (rest * rest) + c
+    return found * rest
+
+
+def _sine_slope(xp, y, n):
+    """pi cos(pi n), as the sine of what is left to half a turn's half."""
+    rest = 0.5 - abs(n - 2.0 * xp.floor(0.5 * n + 0.5))
+    found = 0.0 * rest
+    for c in _SINE:
+        found = found * (rest * rest) + c
+    return math.pi * found * rest
+
+
+_ATAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(13, -1, -1))  # of atan(s) / s in s^2, exact to a bit below 0.2
+
+
+def _arctan(xp, n):
+    """2 / pi of the angle whose tangent is n, by that of an eighth of it."""
+    s = xp.clip(n, -1e150, 1e150)
+    for _ in range(3):
+        s = s / (1.0 + xp.sqrt(1.0 + s * s))
+    found = 0.0 * s
+    for c in _ATAN:
+        found = found * (s * s) + c
+    return found * s * (16.0 / math.pi)
+
+
 _LEAST = 1e-90  # of what a root is taken: the third power of its answer, in a slope, is still a float
+_ROOTS = 10  # square roots after which what goes from _LEAST to 1 / _LEAST lies between 0.8 and 1.23
+
+
+def _ln(xp, n):
+    """ln|n| by that of its root, and one step of Newton's for what the roots have lost."""
+    inside = xp.clip(abs(n), _LEAST, 1.0 / _LEAST)
+    root = inside
+    for _ in range(_ROOTS):
+        root = xp.sqrt(root)
+    s = (root - 1.0) / (root + 1.0)
+    found = 0.0 * s
+    for c in _ATANH:
+        found = found * (s * s) + c
+    rough = 2.0 ** (_ROOTS + 1) * s * found
+    return rough + (inside * xp.exp(-rough) - 1.0)
+
 
 ACTIVATIONS: dict[str, Activation] = {
     "tansig": Activation(
@@ -215,6 +270,32 @@ ACTIVATIONS: dict[str, Activation] = {
         lowered="table",
         symmetry="even",
         flat_from=lambda decades, most: math.exp(2.0 * decades),
+        steep=True,
+    ),
+    "sine": Activation(  # of half turns
+        value=_sine,
+        slope=_sine_slope,
+        image=(-1.0, 1.0),
+        lowered="table",
+        symmetry="odd",
+        flat_from=lambda decades, most: 2.0**62,  # beyond every format
+        periodic=True,
+    ),
+    "arctan": Activation(
+        value=_arctan,
+        slope=lambda xp, y, n: (2.0 / math.pi) / (1.0 + n * n),
+        image=(-1.0, 1.0),
+        lowered="table",
+        symmetry="odd",
+        flat_from=lambda decades, most: math.exp(decades),
+    ),
+    "ln": Activation(  # of a positive sum
+        value=_ln,
+        slope=lambda xp, y, n: xp.sign(n) / xp.clip(abs(n), _LEAST, 1.0 / _LEAST),
+        image=(-math.inf, math.inf),
+        lowered="table",
+        symmetry="even",
+        flat_from=lambda decades, most: math.exp(min(most, 300.0)),
         steep=True,
     ),
 }

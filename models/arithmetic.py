@@ -32,8 +32,9 @@ def tanh(n: np.ndarray) -> np.ndarray:
 
 
 xp = SimpleNamespace(
-    exp=exp, tanh=tanh, sqrt=np.sqrt, where=np.where, clip=np.clip, ones_like=np.ones_like, zeros_like=np.zeros_like
-)
+    exp=exp, tanh=tanh, sqrt=np.sqrt, floor=np.floor, where=np.where, clip=np.clip,
+    ones_like=np.ones_like, zeros_like=np.zeros_like,
+)  # fmt: skip
 """The namespace that activations take (`models.activations`)."""
 
 

@@ -45,6 +45,11 @@ def sqrt(n):  # pragma: no cover - compiled
 
 
 @inlined
+def floor(n):  # pragma: no cover - compiled
+    return np.floor(n)
+
+
+@inlined
 def sign(n):  # pragma: no cover - compiled
     return np.sign(n)
 

@@ -238,6 +238,16 @@ class Builder:
         """The maximum along some axes, along all if none is named. keep: they stay, with one element."""
         return self.along(value, axes, keep, lambda a, b: self.maximum(a, b, hint))
 
+    def place(self, value: Value, axis: int, keep: bool, hint: str) -> Value:
+        """The index of the maximum along an axis, the first of equal ones."""
+        best, *others = (taken(value, [k], axis) for k in range(value.shape[axis]))
+        at = constant(np.zeros(best.shape))
+        for k, other in enumerate(others, 1):
+            ahead = best.plus(other.times(-1.0))
+            at = self.chosen(ahead, at, constant(float(k)), hint)
+            best = self.chosen(ahead, best, other, hint)
+        return at if keep else at.moved(lambda i: np.squeeze(i, axis))
+
     def multiplied(self, value: Value, axes: Sequence[int], keep: bool, hint: str) -> Value:
         """The product along some axes, as `largest`."""
         return self.along(value, axes, keep, lambda a, b: self.product(a, b, hint))

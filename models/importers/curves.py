@@ -97,13 +97,10 @@ CURVES: dict[str, Callable[..., Value]] = {
 """By their names in ONNX."""
 
 INSTEAD = {  # operation -> what to write, or to give, in its place
-    ("log", "log1p", "log2", "log10", "atan", "asin", "acos", "atan2", "hypot"):
-        "log_softmax, logsumexp or softplus if it is part of one; else a layer of tanh that learns it over the range "
-        "of the recording, or give its result as an input",
-    ("cdist",): "the sum of squares of differences, (x[:, None] - c).square().sum(-1)",
-    ("sin", "cos", "tan"): "a sine and a cosine that the host gives as inputs, as an angle grows without bound",
+    ("asin", "acos", "sinh", "cosh", "tan", "cumprod", "erfinv", "lgamma"):
+        "a layer of tanh that learns it over the range of the recording, or give its result as an input",
     ("round", "floor", "ceil"): "what it rounds, or where with a limit for each step",
-    ("sort", "topk", "argmax", "argmin"): "maximum and minimum of pairs",
+    ("sort", "topk"): "maximum and minimum of pairs",
     ("qlinearmatmul", "qgemm", "qlinearconv", "qlinearadd", "qlinearmul", "qlinearsigmoid"):
         "the model in QDQ format (quantize_static(..., quant_format=QuantFormat.QDQ))",
     ("dynamicquantizelinear", "matmulinteger", "convinteger", "dynamicquantizematmul"):

@@ -1,16 +1,18 @@
-"""Softmax, norms by an input's own spread, roots and divisions, made of what a network has.
+"""Softmax, norms by an input's own spread, roots, divisions, logarithms and angles, made of what a network has.
 
 ln(e^a + e^b) = max(a, b) + ln(1 + e^-|a - b|), so the logarithm of a sum of exponentials is a tree of limits and one
 table, and softmax is e^-|x - it|: nothing overflows. A norm multiplies by 1 / sqrt(v), a table of what cannot be 0.
 """
 
 from collections.abc import Sequence
+from math import pi
 
 import numpy as np
 
 from greygate.errors import InputError
 from greygate.models.importers.builder import Builder, Value, constant, joined, stacked
 
+ROOTS = 3  # one of another
 LARGEST = 16  # power: beyond, a format holds no two numbers that differ by an octave
 
 
@@ -85,35 +87,81 @@ def root(builder: Builder, x: Value, hint: str = "root") -> Value:
 
 
 def inverse_root(builder: Builder, x: Value, hint: str = "root") -> Value:
-    """1 / sqrt(x). Raises InputError for what may be 0."""
+    """1 / sqrt(x). Raises InputError for what may be negative; of 0 the model makes no number either."""
     if (found := x.constant) is not None:
         return constant(1 / np.sqrt(found))
-    _at_least(builder, x, np.finfo(float).tiny, "a root of a signal that may be 0, below a line")
+    _at_least(builder, x, 0.0, "a root of a signal that may be negative, below a line")
     return builder.activated(x, "rsqrt", hint)
 
 
 def inverse(builder: Builder, x: Value, hint: str = "inverse") -> Value:
-    """1 / x, as the square of 1 / sqrt(x). Raises InputError for what may be 0."""
+    """1 / x, as the square of 1 / sqrt(x). Raises InputError for what may change its sign."""
     if (found := x.constant) is not None:
         if not found.all():
             raise InputError("divides by 0")
         return constant(1 / found)
     sign = np.where(builder.ends(x)[1] < 0, -1.0, 1.0).reshape(x.shape)
     turned = x.times(sign)
-    _at_least(builder, turned, np.finfo(float).tiny, "the divisor is a signal that may be 0")
+    _at_least(builder, turned, 0.0, "the divisor is a signal that may be 0")
     if (there := builder.inverse_of_root(turned)) is not None:
         return there.times(sign)
     return builder.power(builder.activated(turned, "rsqrt", hint), 2, hint).times(sign)
 
 
 def power(builder: Builder, x: Value, exponent: float, hint: str = "power") -> Value:
-    """x to a whole number or half of 1, up to LARGEST; below 0, 1 by it. Raises InputError for another exponent."""
-    if abs(exponent) > LARGEST or (exponent not in (0.5, -0.5) and exponent % 1):
-        raise InputError(f"the power {exponent:g}; 1/2 and whole numbers up to {LARGEST} can be carried")
-    if exponent % 1:
-        return root(builder, x, hint) if exponent > 0 else inverse_root(builder, x, hint)
-    found = builder.power(x, int(abs(exponent)), hint)
-    return found if exponent >= 0 else inverse(builder, found, hint)
+    """x to a number up to LARGEST: products, roots of roots for its eighths, for others e^(exponent ln x).
+
+    Raises InputError for a larger exponent, and for a broken one of what may be negative.
+    """
+    if not abs(exponent) <= LARGEST:
+        raise InputError(f"the power {exponent:g}; up to {LARGEST} can be carried")
+    if exponent == -0.5:
+        return inverse_root(builder, x, hint)
+    if exponent < 0:
+        return inverse(builder, power(builder, x, -exponent, hint), hint)
+    whole, eighths = divmod(exponent * 2**ROOTS, 2**ROOTS)
+    if eighths % 1:
+        return exp(builder, ln(builder, x, hint).times(exponent), hint)
+    found = builder.power(x, int(whole), hint) if whole else None
+    rooted = x
+    for k in reversed(range(ROOTS)):
+        if eighths % 2 ** (k + 1):
+            rooted = root(builder, rooted, hint)
+            if eighths >= 2**k:
+                found, eighths = rooted if found is None else builder.product(found, rooted, hint), eighths - 2**k
+    return constant(np.ones(x.shape)) if found is None else found
+
+
+def ln(builder: Builder, x: Value, hint: str = "ln") -> Value:
+    """Raises InputError for what may be negative."""
+    if (found := x.constant) is not None:
+        return constant(np.log(found))
+    _at_least(builder, x, 0.0, "the logarithm of a signal that may be negative")
+    return builder.activated(x, "ln", hint)
+
+
+def sine(builder: Builder, x: Value, hint: str = "sine") -> Value:
+    return builder.activated(x.times(1 / pi), "sine", hint)
+
+
+def cosine(builder: Builder, x: Value, hint: str = "cosine") -> Value:
+    return builder.activated(x.times(1 / pi).plus(constant(0.5)), "sine", hint)
+
+
+def arctan(builder: Builder, x: Value, hint: str = "arctan") -> Value:
+    return builder.activated(x, "arctan", hint).times(pi / 2)
+
+
+def arctan2(builder: Builder, y: Value, x: Value, hint: str = "arctan2") -> Value:
+    """The angle of (x, y), from that of the octant; at 0, 0 it is 0."""
+    high, wide = (builder.rectified(v, -1.0, hint) for v in (y, x))
+    steep = high.plus(wide.times(-1.0))
+    largest = builder.maximum(high, wide, hint)
+    least = builder.minimum(high, wide, hint)
+    part = arctan(builder, builder.product(least, inverse(builder, largest, hint), hint), hint)
+    found = builder.chosen(steep, part.times(-1.0).plus(constant(pi / 2)), part, hint)
+    found = builder.chosen(x, found, found.times(-1.0).plus(constant(pi)), hint)
+    return builder.chosen(y, found, found.times(-1.0), hint)
 
 
 def powers(builder: Builder, x: Value, exponents: np.ndarray, hint: str = "power") -> Value:

@@ -490,9 +490,20 @@ def _logarithm(walk: _Walk, x: Value) -> Value:
     """Of a sigmoid, as exporters write logsigmoid out: v - softplus(v)."""
     inner = walk.made.get(walk.node.input[0])
     if inner is None or inner.op_type != "Sigmoid":
-        raise walk.refused(CARRIED + instead("Log"))
+        return norms.ln(walk.builder, x, walk.hint)
     value = walk.scope[inner.input[0]]
     return value.plus(softplus(walk.builder, value, walk.hint).times(-1.0))
+
+
+def _place(sign: float) -> Callable:
+    """The index of the maximum (1) or the minimum (-1) along an axis."""
+
+    def run(walk: _Walk, x: Value, axis: int = 0, keepdims: int = 1, select_last_index: int = 0) -> Value:
+        if select_last_index:
+            raise walk.refused("select_last_index is not carried; the first of equal ones is")
+        return walk.builder.place(x.times(sign), axis, bool(keepdims), walk.hint)
+
+    return run
 
 
 def _softmax(how: Callable) -> Callable:
@@ -769,6 +780,11 @@ FUNCTIONS: dict[str, Callable] = {
     "Sum": lambda walk, *values: reduce(Value.plus, values),
     "Pow": _power,
     "Log": _logarithm,
+    "Sin": _curve(norms.sine),
+    "Cos": _curve(norms.cosine),
+    "Atan": _curve(norms.arctan),
+    "ArgMax": _place(1.0),
+    "ArgMin": _place(-1.0),
     "Exp": lambda walk, x: norms.exp(walk.builder, x, walk.hint),
     "Sqrt": lambda walk, x: norms.root(walk.builder, x, walk.hint),
     "Reciprocal": lambda walk, x: norms.inverse(walk.builder, x, walk.hint),

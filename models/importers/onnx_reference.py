@@ -22,6 +22,7 @@ ROWS = 4096  # samples of a window or a batch that are tried
 IMAGE = 4  # axes: batch, channels, height, width
 BOOL = 9  # of ONNX's types
 SAMPLES = 3  # of an axis whose length is free
+LIMIT = "it divides by 0, or takes its root or logarithm; limit what may be 0 from below (Clip)"
 SPREAD = (0.3, 1.0, 3.0)  # of the numbers that are tried, one sample each
 
 ELEMENTWISE = {
@@ -280,13 +281,18 @@ def check(made: Imported, where: str) -> None:
         if off := _differences(made, {}, reference):
             raise InputError(f"{place}, which the model mixes ({off}); {advice}")
     elif off := _difference(made, {}, reference):
-        raise InputError(f"{where}: the network made of it does not answer as the model ({off}); please report this")
+        raise _unequal(where, off)
     for axis_name in free:
         if off := _differences(made, {axis_name: SAMPLES}, reference):
             raise InputError(
                 f"{where}: along {shown(axis_name)}, an axis whose length is free, the model mixes samples ({off}); "
                 f"{advice}"
             )
+
+
+def _unequal(where: str, off: str) -> InputError:
+    report = "" if off.endswith(LIMIT) else "; please report this"
+    return InputError(f"{where}: the network made of it does not answer as the model ({off}){report}")
 
 
 def _check_windows(made: Imported, where: str) -> None:
@@ -300,9 +306,7 @@ def _check_windows(made: Imported, where: str) -> None:
     fed = [{t.name: t.samples(rows[t.name][: k + 1]) for t in made.inputs} for k in range(last - 1, steps)]
     for k, feeds in enumerate(fed):
         if off := _unlike(made, feeds, {n: v[k : k + 1] for n, v in got.items()}, reference):
-            raise InputError(
-                f"{where}: the network made of it does not answer as the model ({off}); please report this"
-            )
+            raise _unequal(where, off)
     for name in dict.fromkeys(n for t in made.inputs for n in named(t.axes) if isinstance(n, str)):
         along = {t.name: named(t.axes).index(name) for t in made.inputs if name in named(t.axes)}
         feeds = {n: np.concatenate([f[n] for f in fed], along[n]) if n in along else v for n, v in fed[-1].items()}
@@ -428,6 +432,8 @@ def _off(name: str, got: np.ndarray, wanted: np.ndarray, on: bool) -> str | None
         got = got[-1:]
     if wanted.size != got.size:
         return f"output {shown(name)} has the shape {list(wanted.shape)} for {count} samples"
+    if not np.isfinite(wanted).all():
+        return f"output {shown(name)} is no number: {LIMIT}"
     with np.errstate(invalid="ignore"):
         worst = min(_least(np.abs(w - got).max()) for w in arranged(wanted, *got.shape))
     if worst <= AGREED * np.abs(wanted).max() + LEAST:

@@ -13,6 +13,7 @@ network and a copy of the module take the same steps, and must answer alike.
 import contextlib
 import copy
 import inspect
+import math
 import operator
 import random
 import re
@@ -27,7 +28,7 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.models.importers import curves, norms
-from greygate.models.importers.builder import Builder, Value, constant, stacked, taken
+from greygate.models.importers.builder import Builder, Value, constant, joined, stacked, taken
 from greygate.models.network import Network, Port
 from greygate.progress import once
 
@@ -150,15 +151,31 @@ def to_torch(network: Network) -> "torch.nn.Module":
 
 @contextlib.contextmanager
 def _undisturbed(kind: "torch.dtype") -> Iterator[None]:
-    """New tensors are of that type; it and every generator of random numbers are afterwards as they were before."""
+    """New tensors are of that type; it and every generator of random numbers are afterwards as they were before.
+
+    Where it is float64, what `forward` turns into float32 stays float64, too.
+    """
     import torch
+
+    class Double(torch.overrides.TorchFunctionMode):
+        def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+            if func is torch.Tensor.float:
+                func = torch.Tensor.double
+            wide = {torch.float32: torch.float64}
+            given = [wide.get(a, a) if isinstance(a, torch.dtype) else a for a in args]
+            named = {k: wide.get(a, a) if isinstance(a, torch.dtype) else a for k, a in (kwargs or {}).items()}
+            return func(*given, **named)
 
     before, drawn = torch.get_default_dtype(), (random.getstate(), np.random.get_state())  # noqa: NPY002, it may be used
     with torch.random.fork_rng(devices=[]), torch.no_grad(), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")  # of torch, about its own recurrent modules
         torch.set_default_dtype(kind)
         try:
-            with torch.compiler.set_stance("force_eager"):  # what torch.compile would make, each time for a minute
+            kept = Double() if kind is torch.float64 else contextlib.nullcontext()
+            with (
+                kept,
+                torch.compiler.set_stance("force_eager"),
+            ):  # torch.compile would make it anew, for a minute
                 yield
         finally:
             torch.set_default_dtype(before)
@@ -216,6 +233,7 @@ class _Trial:
         self.size = sum(p.size for p in builder.inputs)
         recurrent = [m for m in module.modules() if type(m).__name__ in SEQUENCES]
         self.axis = int(bool(recurrent and recurrent[0].batch_first))  # of the steps, beside a batch of one
+        self.outputs = 1  # tensors that forward gives before its states
         self.packed = False  # whether forward takes and gives its states as one tuple
         self.x = torch.zeros(self.size, dtype=torch.float64)
 
@@ -244,10 +262,10 @@ class _Trial:
         for result in results:
             if not isinstance(result, torch.Tensor):
                 raise InputError(f"{self.kind}: forward gives {_kind(result)}; return tensors: y, or (y, *states)")
-        if len(results) != 1 + len(self.starts):
+        self.outputs = len(results) - len(self.starts)
+        if self.outputs < 1:
             raise InputError(
-                f"forward gives {len(results)} results; give y, of all outputs, and {len(self.starts)} states, one for "
-                "each of `state`"
+                f"forward gives {len(results)} results; give y, and {len(self.starts)} states, one for each of `state`"
             )
 
     def _forms(self) -> Iterator[tuple["torch.Tensor", list["torch.Tensor"], bool]]:
@@ -290,6 +308,8 @@ class _Trial:
             if apart.any():
                 row, k = np.argwhere(apart)[0]
                 by = f"{wanted[row, k]:.6g} beside {other[row, k]:.6g} in {names[k]} at step {steps[row] + 1}"
+                if not np.isfinite(wanted[row, k]):
+                    raise InputError(f"{self.kind} gives {by}: {LIMIT}")
                 raise InputError(f"{self.kind} differs {what}: {by}")
         with np.errstate(all="ignore"):
             largest = np.nan_to_num(np.abs(got - wanted) / np.maximum(finite.max(0), SILENT * scales)).max(initial=0.0)
@@ -300,8 +320,9 @@ class _Trial:
         module, states, rows = copy.deepcopy(self.module), self.starts, []
         before: dict[str, Any] = {}
         for row in x:
-            y, *states = self._results(self._called(module, _tensor(row, self.x.shape), states))
-            rows.append(_array(y))
+            found = self._results(self._called(module, _tensor(row, self.x.shape), states))
+            states = found[self.outputs :]
+            rows.append(np.concatenate([_array(y) for y in found[: self.outputs]]))
             before = before or _attributes(module)  # what a first step sets once may stay
         self._forgets(before, module)
         return np.arange(len(x)), np.array(rows)
@@ -347,6 +368,7 @@ class _Trial:
             raise InputError(f"{self.kind} keeps {changed[0]} from step to step, in an attribute; {STATES}")
 
 
+LIMIT = "it divides by 0, or takes its root or logarithm; limit what may be 0 from below (torch.clamp)"
 STATES = "make it a buffer (register_buffer), or write forward(x, *states) -> (y, *states)"
 
 
@@ -355,6 +377,9 @@ def _kind(result: Any) -> str:
 
 
 def _results(found: Any) -> list:
+    """Of a dict its values, in their order."""
+    if isinstance(found, Mapping):
+        return list(found.values())
     return list(found) if isinstance(found, tuple | list) else [found]
 
 
@@ -451,8 +476,11 @@ class _Walk:
                 self.builder.keep(kept[spec.target], value)
             elif spec.kind.name == "USER_OUTPUT":
                 of_user.append(value)
-        self.builder.output(self.builder.outputs, of_user[0])
-        for name, value in zip(states, of_user[1:], strict=not self.trial.sequence):
+        own = of_user[: self.trial.outputs]
+        self.builder.output(
+            self.builder.outputs, own[0] if len(own) == 1 else joined([v.moved(np.ravel) for v in own], 0)
+        )
+        for name, value in zip(states, of_user[self.trial.outputs :], strict=not self.trial.sequence):
             self.builder.keep(name, value)
 
     def _fixed(self, target: str) -> "torch.Tensor":
@@ -495,7 +523,7 @@ class _Walk:
             raise error if str(error).startswith("operation ") else self.refused(base, str(error)) from None
         except Exception as error:  # arguments that a function here does not take
             raise self.refused(base, f"with these arguments it is not carried ({_first(error)})") from None
-        if signals:
+        if signals and base not in PLACES:
             self._exact(base)
         return found
 
@@ -595,6 +623,7 @@ CARRIED = (
 )
 BRANCH = "forward branches on data or reads a number out of a tensor: write torch.where, torch.clamp or torch.relu"
 CHANGED = ("BUFFER_MUTATION", "PARAMETER_MUTATION")
+PLACES = {"argmax", "argmin"}  # whose whole numbers are a result
 INDICES = {"index", "indices", "mask", "condition"}
 RANDOM = {"native_dropout", "dropout", "rand", "randn", "bernoulli"}
 UNDEFINED = {"empty", "empty_like", "new_empty", "empty_strided", "new_empty_strided"}
@@ -895,6 +924,34 @@ def _length(walk: _Walk, x: Value, order: Any = 2, dim: Any = None, keepdim: boo
     return norms.root(walk.builder, walk.builder.power(x, 2, walk.hint()).summed(axes, keepdim), walk.hint())
 
 
+def _distances(walk: _Walk, a: Any, b: Any, order: float = 2.0, *_: Any) -> Value:
+    """Of every row of one from every row of the other."""
+    apart = (
+        _value(a).moved(lambda i: i[..., :, None, :]).plus(_value(b).moved(lambda i: i[..., None, :, :]).times(-1.0))
+    )
+    return _length(walk, apart, order, -1)
+
+
+def _angle(walk: _Walk, y: Any, x: Any) -> Value:
+    return norms.arctan2(walk.builder, _value(y), _value(x), walk.hint())
+
+
+def _logarithm(base: float) -> Callable:
+    return lambda walk, x: norms.ln(walk.builder, x, walk.hint()).times(1 / math.log(base))
+
+
+def _place(sign: float) -> Callable:
+    """The index of the maximum (1) or the minimum (-1), along an axis or of all."""
+
+    def run(walk: _Walk, x: Value, dim: int | None = None, keep: bool = False) -> Value:
+        turned = x.times(sign)
+        if dim is None:
+            return walk.builder.place(turned.moved(np.ravel), 0, False, walk.hint())
+        return walk.builder.place(turned, dim, keep, walk.hint())
+
+    return run
+
+
 def _instance(walk: _Walk, x: Value, w: Any, b: Any, mean: Any, var: Any, own: bool, *rest: Any) -> Value:
     if own:
         return _group_norm(walk, x, x.shape[1], w, b, rest[1])
@@ -1033,7 +1090,12 @@ FUNCTIONS: dict[str, Callable] = {
     **dict.fromkeys(["softmax", "_softmax"], _softmax(norms.softmax)),
     **dict.fromkeys(["log_softmax", "_log_softmax"], _softmax(norms.log_softmax)),
     "scaled_dot_product_attention": _attention, "cosine_similarity": _cosine, "logaddexp": _log_add,
-    "exp": lambda walk, x: norms.exp(walk.builder, x, walk.hint()),
+    "exp": _curve(norms.exp), "log": _curve(norms.ln), "sin": _curve(norms.sine), "cos": _curve(norms.cosine),
+    "log1p": lambda walk, x: norms.ln(walk.builder, x.plus(constant(1.0)), walk.hint()),
+    "log2": _logarithm(2.0), "log10": _logarithm(10.0),
+    **dict.fromkeys(["atan", "arctan"], _curve(norms.arctan)),
+    **dict.fromkeys(["atan2", "arctan2"], _angle),
+    "argmax": _place(1.0), "argmin": _place(-1.0), "_cdist_forward": _distances, "cdist": _distances,
     "expm1": lambda walk, x: norms.exp(walk.builder, x, walk.hint()).plus(constant(-1.0)),
     "logsumexp": _log_sum, "native_layer_norm": _layer_norm, "group_norm": _group_norm,
     "layer_norm": lambda *given: _layer_norm(*given)[0], "rms_norm": lambda *given: _rms_norm(*given)[0],
