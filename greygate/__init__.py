@@ -62,10 +62,13 @@ __all__ = [*_PUBLIC]
 keep_compiled()
 
 
+_TOLD = ("train", "diagnose")  # in a notebook they say where they are, on one line
+_SHELL = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+
+
 def _show_in_notebooks() -> None:
     """Where a notebook imports greygate, say what draws its results; nothing is imported for it here."""
-    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    formatter = shell and shell.display_formatter.formatters["text/html"]
+    formatter = _SHELL and _SHELL.display_formatter.formatters["text/html"]
     for name, drawn in _SHOWN.items() if formatter else ():
 
         def html(value: object, drawn: str = drawn) -> str:
@@ -81,7 +84,10 @@ def __getattr__(name: str) -> object:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'greygate' has no attribute {name!r}")
     module, _, own = _PUBLIC[name].partition(":")
-    globals()[name] = found = getattr(import_module(module), own)
+    found = getattr(import_module(module), own)
+    if _SHELL and name in _TOLD:
+        found = import_module("greygate.progress").told(found)
+    globals()[name] = found
     return found
 
 

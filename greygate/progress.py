@@ -6,10 +6,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, wraps
 from time import monotonic
+from typing import Any
 
 Progress = Callable[[str], None]
+
+
+WIDE = 100  # letters of a line that the next one replaces
 
 
 def silent(line: str) -> None:
@@ -149,6 +153,21 @@ def once(line: str) -> None:
     if line not in _SAID:
         _SAID.add(line)
         print(line, file=sys.stderr)
+
+
+def told(work: Callable) -> Callable:
+    """Work whose `progress` is one line of the screen, unless it is given another."""
+
+    @wraps(work)
+    def tells(*arguments: Any, **options: Any) -> Any:
+        if "progress" in options:
+            return work(*arguments, **options)
+        try:
+            return work(*arguments, **options, progress=lambda line: print(f"\r{line[:WIDE]:{WIDE}}", end=""))
+        finally:
+            print(f"\r{'':{WIDE}}", end="\r")
+
+    return tells
 
 
 def titled(progress: Progress, title: str) -> Progress:

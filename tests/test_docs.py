@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import notebooks
@@ -132,6 +133,24 @@ def test_the_notebooks_in_the_repository_are_made_of_the_pages():
 def test_figures_of_the_pages_are_those_of_the_stored_results():
     done = subprocess.run([sys.executable, ROOT / "docs" / "pages.py", "--check"], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_a_picture_is_below_a_megabyte_and_the_film_of_the_app_lasts_thirty_seconds():
+    pictures = {path.name: path.read_bytes() for path in (ROOT / "docs" / "pictures").iterdir()}
+    assert [name for name, held in pictures.items() if len(held) > 1e6] == []
+    film = pictures["app.webp"]
+    shown = [int.from_bytes(film[at + 20 : at + 23], "little") for at in frames(film)]
+    assert sum(shown) == pytest.approx(30_000, rel=0.01)
+    assert len(shown) > 20
+
+
+def frames(film: bytes) -> Iterator[int]:
+    """Where the chunks of frames of an animated WebP begin."""
+    at = 12
+    while at < len(film):
+        if film[at : at + 4] == b"ANMF":
+            yield at
+        at += 8 + int.from_bytes(film[at + 4 : at + 8], "little")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

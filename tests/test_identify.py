@@ -185,6 +185,7 @@ def test_a_model_that_diverges_is_a_row_without_a_figure(searched):
         assert row.split()[-3:-1] == ["–", "–"]
     html = page(found, plain(told))
     assert f'<td class="text">{wild.model.name}</td>' in html
+    assert all(f"<b>error</b> against {over}" in html for over in ("weights", "order"))
 
 
 def test_an_output_that_no_input_explains_is_exit_code_1(short, greygate, tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """Results show themselves in a notebook, in a frame that keeps its style and runs no script."""
 
+import ast
 import html
 
 import pytest
@@ -59,3 +60,27 @@ print(shell.display_formatter.format(shell.user_ns["found"])[0]["text/html"])
 def test_a_notebook_that_imports_greygate_draws_its_results():
     pytest.importorskip("IPython")
     assert "Network x" in page(children.ran(children.python("-c", CELLS)).stdout.strip())
+
+
+TRAINED = """
+from IPython.core.interactiveshell import InteractiveShell
+shell = InteractiveShell.instance()
+import contextlib, io, numpy, greygate
+from greygate.models.families.regression import noe
+lag = noe("lag", {greygate.Port("u", "V"): (1,)}, greygate.Port("y", "m"), (1,), hidden=2)
+u = numpy.sin(numpy.arange(200.0))
+record = greygate.Record({"u": u}, {"y": numpy.roll(u, 1)})
+for options in ({"progress": lambda line: None}, {}):
+    with contextlib.redirect_stdout(io.StringIO()) as told:
+        greygate.train(lag, record, epochs=3, **options)
+    print(repr(told.getvalue()))
+"""
+
+
+def test_training_in_a_notebook_says_where_it_is_on_one_line():
+    pytest.importorskip("IPython")
+    done = children.ran(children.python("-c", TRAINED))
+    silent, told = map(ast.literal_eval, done.stdout.splitlines())
+    assert silent == ""
+    assert told.count("\repoch ") == 3
+    assert "\n" not in told

@@ -19,7 +19,7 @@ COLOURS = ("float", "cost", "extra")  # of the chosen model, the next one and th
 
 
 def head(found: Identified, told: IdentifiedFacts) -> dict:
-    """Headline, what to do, models, error against weights."""
+    """Headline, what to do, models, error against weights and against order."""
     reach = told["chosen"]["held_out"]
     rows = [
         {
@@ -40,7 +40,7 @@ def head(found: Identified, told: IdentifiedFacts) -> dict:
         "first": rows[:FIRST],
         "others": rows[FIRST:],
         "unit": display(told["unit"], reach)[1] or "1",
-        "weighed": weighed(found, told),
+        "weighed": [(over, weighed(found, told, over)) for over in ("weights", "order")],
     }
 
 
@@ -68,18 +68,23 @@ def straight(found: Identified) -> Tried | None:
     return next((t for t in found.search.finalists() if t.model.form.linear and math.isfinite(t.error)), None)
 
 
-def weighed(found: Identified, told: IdentifiedFacts) -> Markup:
-    """Error held out against weights: of linear models, networks, and the chosen one, where it is below the mean's."""
+def weighed(found: Identified, told: IdentifiedFacts, over: str) -> Markup:
+    """Error held out: of linear models, networks, and the chosen one, where it is below the mean's.
+
+    over: "weights", or "order", which is that of the past outputs or of the states.
+    """
     factor, unit = display(told["unit"], told["chosen"]["held_out"])
     dots = []
     for row, tried in zip(told["models"], found.search.finalists(), strict=True):
         kind = "chosen" if tried is found.chosen else "straight" if tried.model.form.linear else "bent"
         if kind == "chosen" or (row["fit"] is not None and row["fit"] > 0):
-            x, y = row["parameters"], row["held_out"] * factor
+            x = row["parameters"] if over == "weights" else tried.model.orders.order
+            y = row["held_out"] * factor
             dots.append(Curve([x * (1 - DOT), x * (1 + DOT)], [y, y], f"dot {kind}"))
-    limits = drawing.span([v for dot in dots for v in dot.x], log=True)
+    log = over == "weights"
+    limits = drawing.span([v for dot in dots for v in dot.x], log=log)
     label = labelled("held out, RMS", unit)
-    return drawing.chart(dots, x="weights", y=label, x_log=True, y_log=True, x_limits=limits, width=570, height=260)
+    return drawing.chart(dots, x=over, y=label, x_log=log, y_log=True, x_limits=limits, width=570, height=260)
 
 
 def runs(found: Identified, told: IdentifiedFacts) -> dict:

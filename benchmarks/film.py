@@ -1,0 +1,121 @@
+"""`greygate app` by mouse alone, from nothing to a named effect and to verified Verilog, as a film of 30 s.
+
+Draws docs/pictures/app.webp of docs/browser.md: what is clicked is framed; while something runs, seconds are left out.
+"""
+
+import base64
+import struct
+import time
+from collections.abc import Iterator
+
+import browsing
+
+from greygate import children
+
+from .made import ROOT
+from .shared import VERILATOR, scratch
+
+TAKES = "three minutes"
+THREADS = "all"
+NEEDS = VERILATOR
+FILM = ROOT / "docs" / "pictures" / "app.webp"
+SIZE = (960, 640)  # px
+SECONDS = 30  # of the film
+STEP = 6.0  # s between two frames while something runs
+PATIENCE = 600.0  # s until what runs is done
+WAY = (  # (what is clicked, what is then waited for)
+    ("text=Try recording", "button:text-is('Diagnose')"),
+    ("button:text-is('Diagnose')", "#verdict:has-text('missing physics: speed_slip')"),
+    ("nav >> text=folder", "text=Try network"),
+    ("text=Try network", "text=Find a network"),
+    ("fieldset:has(legend:text-is('x_cmd')) >> text=drives", ""),
+    ("fieldset:has(legend:text-is('x_meas')) >> text=is predicted", ""),
+    ("text=Find a network", "a.go:text-is('Network to FPGA')"),
+    ("a.go:text-is('Network to FPGA')", "button:text-is('Compile')"),
+    ("button:text-is('Compile')", "button:text-is('Verify')"),
+    ("button:text-is('Verify')", "#verdict:has-text('every bit is equal')"),
+)
+EFFECT = 2  # clicks until the effect is named
+ENCODED = """async png => {
+  const picture = await createImageBitmap(await (await fetch("data:image/png;base64," + png)).blob());
+  const canvas = Object.assign(document.createElement("canvas"), {width: picture.width, height: picture.height});
+  canvas.getContext("2d").drawImage(picture, 0, 0);
+  return canvas.toDataURL("image/webp", 0.35).split(",")[1];
+}"""
+SCROLL = "y => { const e = document.querySelector('iframe'); scrollTo(0, e ? e.offsetTop - 90 + y : y); }"
+
+
+class Film:
+    """The frames of a tab, each once. encoder: a tab of its own, whose canvas makes WebP of PNG."""
+
+    def __init__(self, tab, encoder):
+        self.tab, self.encoder, self.frames = tab, encoder, list[bytes]()
+
+    def take(self) -> None:
+        png = base64.b64encode(self.tab.screenshot()).decode()
+        found = base64.b64decode(self.encoder.evaluate(ENCODED, png))
+        if found not in self.frames[-1:]:
+            self.frames.append(found)
+
+    def click(self, what: str, then: str) -> None:
+        place = self.tab.locator(what).first
+        place.scroll_into_view_if_needed()
+        place.evaluate("e => { e.style.outline = '4px solid #d55e00'; }")
+        self.take()
+        place.click()
+        ends = time.monotonic() + PATIENCE
+        while then and not self.tab.locator(then).count():
+            if time.monotonic() > ends:
+                raise TimeoutError(self.tab.inner_text("body"))
+            self.tab.wait_for_timeout(500 if self.tab.locator("button.cancel:visible").count() == 0 else STEP * 1000)
+            self.take()
+        self.tab.wait_for_timeout(500)
+        self.take()
+
+    def animated(self) -> bytes:
+        """An animated WebP (RFC 9649), shown again and again."""
+        wide, high = (struct.pack("<I", side - 1)[:3] for side in SIZE)
+        shown = struct.pack("<I", round(1000 * SECONDS / len(self.frames)))[:3]
+        parts = [_chunk(b"VP8X", b"\x02\0\0\0" + wide + high), _chunk(b"ANIM", b"\xff" * 4 + b"\0\0")]
+        for frame in self.frames:
+            picture = next(chunk for name, chunk in _chunks(frame) if name == b"VP8 ")
+            parts.append(_chunk(b"ANMF", bytes(6) + wide + high + shown + b"\x02" + _chunk(b"VP8 ", picture)))
+        return _chunk(b"RIFF", b"WEBP" + b"".join(parts))
+
+
+def _chunk(name: bytes, content: bytes) -> bytes:
+    return name + struct.pack("<I", len(content)) + content + bytes(len(content) % 2)
+
+
+def _chunks(file: bytes) -> Iterator[tuple[bytes, bytes]]:
+    at = 12
+    while at < len(file):
+        (size,) = struct.unpack_from("<I", file, at + 4)
+        yield file[at : at + 4], file[at + 8 : at + 8 + size]
+        at += 8 + size + size % 2
+
+
+def filmed() -> dict:
+    """Film it; seconds and clicks of each end, and what the console said."""
+    with scratch() as place:
+        folder = place / "machine"
+        folder.mkdir()
+        with children.started(children.python("-m", "greygate", "app", str(folder)), stdout=children.PIPE) as server:
+            address = server.stdout.readline().strip()  # type: ignore[union-attr]
+            with browsing.chromium() as browser, browsing.opened(browser, address, SIZE, "light") as (tab, told):
+                film, began, found = Film(tab, browser.new_page()), time.monotonic(), {}
+                film.take()
+                for clicks, (what, then) in enumerate(WAY, 1):
+                    film.click(what, then)
+                    if clicks in (EFFECT, len(WAY)):
+                        name = "effect" if clicks == EFFECT else "verilog"
+                        found |= {f"{name}_clicks": clicks, f"{name}_s": round(time.monotonic() - began)}
+                        for y in (0, 500):
+                            tab.evaluate(SCROLL, y)
+                            tab.wait_for_timeout(500)
+                            film.take()
+                FILM.write_bytes(film.animated())
+                return found | {"frames": len(film.frames), "bytes": FILM.stat().st_size, "console": list(told)}
+
+
+PARTS = {"app": filmed}
