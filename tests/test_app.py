@@ -268,6 +268,12 @@ def test_ways_things_and_forms_are_right_in_every_size_and_theme_and_by_keyboard
                     found = browsing.looked(tab, "screen") + browsing.by_keyboard(tab) + told
                     assert found == [], (place, theme, size)
                     opened += 1
+        with browsing.opened(browser, f"{served}guide/explain?of=axis", (1280, 900), "light") as (tab, _):
+            (sampled / "axis" / "axis.toml").write_text("changed = 1\n")
+            tab.fill(".text >> nth=0 >> textarea", "x = 1\n")
+            tab.click(".save >> nth=0")
+            tab.wait_for_timeout(1000)  # a check that was begun before says nothing after
+            assert "was changed meanwhile" in tab.inner_text(".told >> nth=0")
         with browsing.opened(browser, f"{served}thing/a.csv", (1280, 900), "light") as (tab, told):
             (sampled / "a.more.html").write_text("<p>new</p>")
             tab.wait_for_selector("iframe[title='a.more.html']")
