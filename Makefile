@@ -8,7 +8,7 @@ FOLDERS := models plants emulator compiler rtl mismatch control identify machine
 NO_FLOATS := rtl random_hardware adders_hardware synthesis proofs engine board c99 browser fuzz fuzzing faults attacks \
     names escapes waveform testing ci schemas invocations imports files serial pipelined targets export
 
-.PHONY: demo docs pages test nightly test-old lint types fuzz train clean tools peers
+.PHONY: demo docs pages test nightly test-old test-elsewhere lint types fuzz train clean tools peers
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate make recordings/cart/cart.toml recordings/cart/train.csv recordings/cart/test.csv --out $(OUT)/cart
@@ -22,13 +22,19 @@ test: $(VENV)/.ready-dev | tools
 nightly: $(VENV)/.ready-nightly docs | tools
 	GREYGATE_FUZZ=10000 GREYGATE_FAULTS=all $(BIN)/python -m pytest -n 2 -m nightly
 	$(BIN)/python -m benchmarks made
-	$(MAKE) --no-print-directory test-old
+	$(MAKE) --no-print-directory test-old test-elsewhere
 
 # The same on the processor of another age: its BLAS and its numpy compute other last bits. Left out is what has no floats:
 # Verilog, C and what is made of it, browsers, wrong uses, files that break and strangers that break in.
 test-old: $(VENV)/.ready-dev | tools
 	$(BIN)/python -m benchmarks processors --setting "old BLAS and numpy" --run \
 	  "$(BIN)/python -m pytest -n 2 $(patsubst %,--ignore=tests/test_%.py,$(NO_FLOATS))"
+
+# The same on a system that lacks what Windows lacks, as far as Linux can (tests/elsewhere). pytest asks it for no user's
+# name where it is given a folder.
+test-elsewhere: $(VENV)/.ready-dev | tools
+	LOKY_MAX_CPU_COUNT=2 PYTHONPATH=tests/elsewhere $(BIN)/python -m pytest -n 2 --dist loadfile -m "not nightly" \
+	  --basetemp=build/elsewhere
 
 # The pages as a site, build/site/index.html. A link that leads nowhere stops it.
 docs: $(VENV)/.ready-docs

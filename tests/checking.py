@@ -10,8 +10,11 @@ import re
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 from greygate.schemas import EXAMPLES, examples, load
 
+POSIX = pytest.mark.skipif(not hasattr(os, "getuid"), reason="of a system with POSIX")
 FILES = {
     **{f"{name}.json": name for name in ("program", "manifest", "diagnosis", "board", "augment", "commitment")},
     **{"compile.json": "build", "verify.json": "verified", "resources.json": "resources", "report.json": "report"},

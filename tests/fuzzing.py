@@ -6,7 +6,6 @@ without a file written, and within `MEMORY`.
 
 import multiprocessing
 import os
-import resource
 import shutil
 import sys
 import tempfile
@@ -92,7 +91,9 @@ def _serve(connection, folder: Path) -> None:
 @contextmanager
 def _little_memory() -> Iterator[None]:
     """No more than `MEMORY` beyond what the process holds."""
-    if sys.platform != "linux":
+    try:
+        import resource
+    except ImportError:
         yield
         return
     pages = int(Path("/proc/self/statm").read_text().split()[0])

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import browsing
 import pytest
+from checking import POSIX
 from networks import delay_line, recorded_line
 from typer.main import get_command
 
@@ -522,7 +523,7 @@ def test_a_build_shows_the_words_on_its_ports(client, folder, greygate):
     assert (broken.status_code, 'role="alert">' in broken.text) == (200, True)
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without named pipes")
+@POSIX
 def test_a_pipe_is_neither_a_thing_nor_read(client, folder):
     os.mkfifo(folder / "pipe.csv")
     assert "pipe.csv" not in client.get(at()).text

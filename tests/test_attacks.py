@@ -9,6 +9,7 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
+from checking import POSIX
 
 from greygate import project
 from greygate.contents import contents
@@ -78,7 +79,7 @@ READERS = {  # of what a stranger sends, with the name that it reads
 }
 
 
-@pytest.mark.parametrize("kind", ["pipe", "endless", "sparse"])
+@pytest.mark.parametrize("kind", [pytest.param("pipe", marks=POSIX), "endless", "sparse"])
 @pytest.mark.parametrize("reader", READERS)
 def test_what_is_no_plain_file_of_a_bounded_size_is_refused_at_once(reader, kind, tmp_path):
     name, read = READERS[reader]
@@ -112,6 +113,7 @@ def test_a_journal_that_a_stranger_put_beside_a_folder_replaces_nothing(tmp_path
     assert (tmp_path / "mine" / "thesis.docx").read_text() == "years of work"
 
 
+@POSIX
 def test_a_lock_that_is_a_pipe_holds_nobody_up(tmp_path):
     os.mkfifo(tmp_path / ".b.greygate-lock")
     with replacing_folder(tmp_path / "b", "compile") as new:

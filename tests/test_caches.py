@@ -7,10 +7,15 @@ import sys
 from pathlib import Path
 
 import pytest
+from checking import POSIX
 
-from greygate import caches
+from greygate import caches, system
 
 NOBODY = 65534
+
+
+def root() -> bool:
+    return hasattr(os, "getuid") and os.getuid() == 0
 
 
 @pytest.fixture
@@ -18,15 +23,17 @@ def temporary(tmp_path, monkeypatch) -> Path:
     """No home; the folder for temporary files."""
     monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null/none")
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    return tmp_path / f"greygate-{os.getuid()}"
+    return tmp_path / f"greygate-{system.user()}"
 
 
+@POSIX
 def test_without_a_home_it_is_a_temporary_folder_of_the_user_alone(temporary):
     assert caches.folder() == temporary
     assert temporary.stat().st_mode & 0o777 == 0o700
     assert caches.folder() == temporary
 
 
+@POSIX
 @pytest.mark.parametrize("mode", [0o770, 0o707])
 def test_a_folder_that_others_can_write_is_not_used(temporary, mode):
     temporary.mkdir()
@@ -34,20 +41,23 @@ def test_a_folder_that_others_can_write_is_not_used(temporary, mode):
     assert caches.folder() is None
 
 
+@POSIX
 def test_a_link_in_its_place_is_not_followed(temporary, tmp_path):
     (tmp_path / "other").mkdir(mode=0o700)
     temporary.symlink_to(tmp_path / "other")
     assert caches.folder() is None
 
 
-@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder away")
+@POSIX
+@pytest.mark.skipif(not root(), reason="only root can give a folder away")
 def test_a_folder_of_another_user_is_not_used(temporary):
     temporary.mkdir(mode=0o700)
     os.chown(temporary, NOBODY, NOBODY)
     assert caches.folder() is None
 
 
-@pytest.mark.skipif(os.getuid() != 0 or not shutil.which("setpriv"), reason="needs root and setpriv")
+@POSIX
+@pytest.mark.skipif(not root() or not shutil.which("setpriv"), reason="needs root and setpriv")
 def test_a_user_who_can_write_neither_package_nor_home_has_numba_keep_its_code(tmp_path):
     """Nobody may read everything here, since the tests may lie in root's home, and write almost nothing."""
     tmp_path.chmod(0o777)

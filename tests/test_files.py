@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import resource
 import subprocess
 import sys
 import threading
@@ -255,6 +254,7 @@ def test_a_reader_never_sees_half_of_two_files_that_belong_together(tmp_path):
 
 def test_a_disk_that_is_full_is_one_line_and_the_old_build_stays(tmp_path):
     """RLIMIT_FSIZE, as `ulimit -f` sets it."""
+    resource = pytest.importorskip("resource")
     delay_line().save(tmp_path / "line")
     rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(50))
     (tmp_path / "a.csv").write_text("t_s,u_V,y_m\n" + rows)

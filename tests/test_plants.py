@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from checking import POSIX
 from scipy.integrate import solve_ivp
 
 from greygate.errors import InputError
@@ -314,6 +315,7 @@ def test_a_second_process_compiles_nothing(tmp_path):
     assert run_elsewhere(tmp_path)[:2] == ["1", "0"]
 
 
+@POSIX
 def test_a_cache_that_cannot_be_written_is_done_without(tmp_path):
     (tmp_path / "file").write_text("")
     other = tmp_path / f"greygate-{os.getuid()}"  # which everybody can write: what lies there is not run

@@ -342,7 +342,7 @@ def test_trainings_side_by_side_share_the_cores():
     assert shares == 2 * [max(few // 2, 1)]
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system pins no process to a core")
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="this system pins no process to a core")
 def test_a_process_that_is_pinned_to_a_core_hands_nothing_to_another():
     before = os.sched_getaffinity(0)
     try:

@@ -12,10 +12,15 @@ import subprocess
 import sys
 import tempfile
 import types
+from contextlib import suppress
+
+with suppress(ImportError):  # of the tests' own packages
+    import platformdirs  # noqa: F401
+    import serial  # noqa: F401
 
 MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty")
 CALLS = {
-    os: ("O_NOFOLLOW", "O_NONBLOCK", "getuid", "geteuid", "fork", "forkpty", "sched_getaffinity", "chown"),
+    os: ("O_NOFOLLOW", "O_NONBLOCK", "getuid", "geteuid", "fork", "forkpty", "sched_getaffinity", "chown", "mkfifo"),
     signal: ("SIGXCPU", "pthread_kill", "pthread_sigmask", "alarm", "setitimer"),
 }
 
