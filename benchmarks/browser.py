@@ -54,7 +54,11 @@ def pages(folder: Path) -> dict[str, Path]:
     words = ["--seed", 3, "--kind", "one", "--effect", "speed_slip", "--out", "case"]
     greygate("dev", "conceal", "cable_drum", *words, folder=folder)
     greygate("diagnose", "case", "--html", "diagnosis.html", folder=folder)
-    return {name: folder / f"{name}.html" for name in ("report", "compare", "validate", "look", "train", "diagnosis")}
+    greygate("look", recording, "--against", "trained/mine.toml", "--html", "models.html", folder=folder)
+    words = [recording, "--input", "x_cmd", "--output", "x_meas", "--seconds", 20]
+    greygate("identify", *words, "--out", "found", "--html", "identify.html", folder=folder)
+    names = ("report", "compare", "validate", "look", "models", "train", "identify", "diagnosis")
+    return {name: folder / f"{name}.html" for name in names}
 
 
 @contextmanager
@@ -95,6 +99,7 @@ def main() -> int:
             found = browsing.faults(browser, page)
             wrong = [f"{where}: {what}" for where, all_ in found.items() for what in all_]
             rows.append({"page": f"greygate {name}", "pages": 1, "opened": len(found), "faults": wrong})
+            rows[-1]["bytes"] = page.stat().st_size
             print(rows[-1], flush=True)
             if name in SHOWN:
                 size, theme = SHOWN[name]

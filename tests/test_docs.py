@@ -135,6 +135,13 @@ def test_figures_of_the_pages_are_those_of_the_stored_results():
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
+def test_the_readme_counts_the_clicks_of_the_film():
+    found = json.loads((ROOT / "benchmarks" / "results" / "film.json").read_text())["app"]
+    text = f"{found['effect_clicks']} clicks to a named effect, {found['verilog_clicks']} to verified Verilog, in three"
+    assert text in " ".join((ROOT / "README.md").read_text().split())
+    assert (found["verilog_s"] < 180, found["console"]) == (True, [])
+
+
 def test_a_picture_is_below_a_megabyte_and_the_film_of_the_app_lasts_thirty_seconds():
     pictures = {path.name: path.read_bytes() for path in (ROOT / "docs" / "pictures").iterdir()}
     assert [name for name, held in pictures.items() if len(held) > 1e6] == []
