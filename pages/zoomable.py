@@ -1,6 +1,7 @@
 """Curves over time that a reader can zoom: the data that `zoomable.html` hands to Plotly."""
 
 import base64
+import gzip
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -8,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+LEVELS, MOMENTS = 1023, 65535  # of a curve from its least to its largest value, and of its times: several in a pixel
 DRAWN = 20_000  # longest curve that is drawn sample by sample; a longer one is drawn by least and largest of bins
 
 
@@ -26,7 +28,7 @@ class Trace:
 
 
 def curves(traces: Mapping[str, Trace], time: float | np.ndarray, labels: Sequence[str]) -> dict:
-    """What Plotly draws, JSON-able, numbers as binary float32. time: the step [s], or the time of each sample [s].
+    """What Plotly draws, JSON-able, numbers `packed`. time: the step [s], or the time of each sample [s].
 
     labels: of the axis, and of the axis below where there is one. Plotly takes them as HTML, so they are escaped; the
     template's `tojson` then keeps them inside <script>.
@@ -52,10 +54,25 @@ def thinned(y: np.ndarray) -> np.ndarray:
 def _placed(y: np.ndarray, time: float | np.ndarray) -> dict:
     steps = thinned(y)
     if isinstance(time, np.ndarray):
-        return {"y": _binary(y[steps]), "x": _binary(time[steps])}
-    whole = {"x0": 0.0, "dx": time} if len(steps) == len(y) else {"x": _binary(steps * time)}
-    return {"y": _binary(y[steps])} | whole
+        return {"y": packed(y[steps]), "x": packed(time[steps], MOMENTS)}
+    whole = {"x0": 0.0, "dx": time} if len(steps) == len(y) else {"x": packed(steps * time, MOMENTS)}
+    return {"y": packed(y[steps])} | whole
 
 
-def _binary(values: np.ndarray) -> dict:
-    return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode()}
+def packed(values: np.ndarray, gap: int = LEVELS) -> dict:
+    """Numbers as so many levels of their range, one difference after another; what is not finite is level `gap`."""
+    finite = np.isfinite(values)
+    low, high = (values[finite].min(), values[finite].max()) if finite.any() else (0.0, 0.0)
+    step = float(high - low) / (gap - 1) or 1.0
+    levels = np.full(len(values), gap, np.uint16)
+    levels[finite] = np.round((values[finite] - low) / step)
+    planes = np.diff(levels, prepend=np.uint16(0)).astype("<u2").view(np.uint8).reshape(-1, 2).T
+    data = base64.b64encode(gzip.compress(planes.tobytes(), mtime=0)).decode()
+    return {"low": float(low), "step": step, "gap": gap, "packed": data}
+
+
+def unpacked(found: Mapping) -> np.ndarray:
+    """What the page makes of `packed` numbers."""
+    planes = np.frombuffer(gzip.decompress(base64.b64decode(found["packed"])), np.uint8).reshape(2, -1)
+    levels = np.cumsum(planes[0] + 256 * planes[1].astype(np.uint16), dtype=np.uint16)
+    return np.where(levels == found["gap"], np.nan, found["low"] + found["step"] * levels)

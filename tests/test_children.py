@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from checking import POSIX
 from networks import recorded_line
 from workers import killed, killed_always
 
@@ -52,7 +53,7 @@ def called(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     "words",
     [
-        "look {given}/r.mat --unit u=V --unit y=m",
+        pytest.param("look {given}/r.mat --unit u=V --unit y=m", marks=POSIX),
         "identify {given}/a.csv --input u --output y --seconds 3 --jobs 2 --out found",
         "diagnose {given}/fast {given}/clean --jobs 2",
         "verify built",

@@ -10,6 +10,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import checking
 import numpy as np
 import pytest
 from networks import recorded_line
@@ -140,6 +141,7 @@ def test_doctor_says_what_this_system_does_not_do(given):
     assert "GREYGATE_UNLIMITED" in lines["memory limits"]
 
 
+@checking.POSIX
 def test_a_limit_that_the_system_takes_and_does_not_hold_to_is_no_limit():
     code = (
         "from greygate import system\nsystem.resource.setrlimit = lambda *_: None\nprint(system.limit(1 << 28, 9, 1))"
@@ -167,7 +169,8 @@ def test_two_writers_without_posix_exclude_each_other(given):
 
 
 def test_a_system_without_any_lock_is_refused(monkeypatch, tmp_path):
-    monkeypatch.setattr(system, "fcntl", None)
+    for name in ("fcntl", "msvcrt"):
+        monkeypatch.setattr(system, name, None)
     with pytest.raises(OSError, match="neither fcntl nor msvcrt"), locked(tmp_path / "x"):
         pytest.fail("it holds nothing")
 
