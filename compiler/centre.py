@@ -63,7 +63,10 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         traced = run(program, codes, start, trace=True).trace
         assert traced is not None, "it was asked for"
         fixed = traced[operation.out.name][:, 0] * operation.out.fix.lsb
-        error = mean(exact - fixed)
+        apart = exact - fixed
+        if layer.function.periodic:
+            apart -= 2.0 * np.floor(0.5 * apart + 0.5)
+        error = mean(apart)
         bias = operation.bias + np.floor(np.ldexp(error, operation.frac) + 0.5).astype(np.int64)
         changed = replace(operation, bias=bias)
         program = replace(program, operations=(*program.operations[:at], changed, *program.operations[at + 1 :]))

@@ -43,6 +43,7 @@ LEAST_CODES = 8  # that the least number under a root must be: rounding changes 
 EXACT = 8  # fraction bits up to which a weight counts as exact
 GUARD = 3  # bits by which a product may be finer than its sum
 BETWEEN = 65  # angles at which a loop's gain is asked for, beside those of its poles, where sharp ones are
+WRAP = "wrap"  # an activation that is a sum in a format of a turn
 AGREED = 9  # decimals of a logarithm on which every LAPACK agrees; it only chooses a number of bits
 
 
@@ -216,6 +217,8 @@ class _Quantizer:
             else:
                 holds = output_fix(width + self.formats.finer) if f.is_bounded else self._unbounded_fix(name)
             fix = self.formats.signals.get(name, holds)
+        elif f.lowered == WRAP:
+            fix = output_fix(width)
         elif f.lowered == Op.THRESHOLD:
             fix = Fix(2, 0)
         elif f.lowered in (Op.CLAMP, Op.PRODUCT):
@@ -331,6 +334,8 @@ class _Quantizer:
                 self.notes[name] = "; ".join(filter(None, [self.notes.get(name), why]))
             return self._affine(out, layer.bias, reads, finer)
         pre = f"{name}.n"
+        if lowered == WRAP:
+            return self._affine(out, layer.bias, reads, max(0, self.fix_bits(pre)), overflow=Overflow.WRAP)
         if lowered == Op.TABLE:
             frac, reach = self._argument(layer.activation, name, out.fix)
             fix = self.formats.signals.get(pre, Fix(frac + reach + 1, frac))
@@ -339,7 +344,7 @@ class _Quantizer:
                 self._affine(signal, layer.bias, reads, max(0, self.fix_bits(pre)), overflow=Overflow.WRAP)
             else:
                 self._affine(signal, layer.bias, reads)
-            if layer.function.steep and self.ranges[pre].low < LEAST_CODES * fix.lsb:
+            if layer.function.diverges and self.ranges[pre].low < LEAST_CODES * fix.lsb:
                 raise InputError(self._too_wide(pre, fix))
             form = Form.OCTAVES if layer.function.steep else f.tables
             table = make_table(layer.activation, fix, out.fix, f.table_budget, f.interpolated, form, f.segments)
@@ -496,10 +501,11 @@ class _Quantizer:
     def _too_wide(self, pre: str, fix: Fix) -> str:
         """Why a number by which a signal is divided has no codes."""
         r = self.ranges[pre]
+        octaves = fix.width - integer_bits(LEAST_CODES)
         return (
-            f"signal {pre}: a signal is divided by its root, and it goes from {r.low:.2g} to {r.high:.2g}; {fix.width} "
-            f"bits hold {fix.width - integer_bits(LEAST_CODES)} octaves. Raise the epsilon of that norm and train with "
-            "it, give more bits, or leave steps out at which its inputs are all alike"
+            f"signal {pre}: something is divided by it or its root, or its logarithm is taken, and it goes from "
+            f"{r.low:.2g} to {r.high:.2g}; {fix.width} bits hold {octaves} octaves. Limit it from below (of a norm, "
+            "raise the epsilon) and train with that, give more bits, or leave those steps out"
         )
 
     def _unbounded_fix(self, name: str) -> Fix:

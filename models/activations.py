@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from inspect import signature
 from typing import Any, Literal
 
+import numpy as np
+
 from greygate.errors import InputError, shown
 
 
@@ -20,18 +22,19 @@ class Activation:
     image: least and greatest y. A function without symmetry, or with an odd one, rises monotonically unless it is
     periodic; an even function is monotone on either side of zero.
     lowered: the operation that computes it in the integer program (docs/integer-program.md). A threshold answers with
-    the ends of the image, a clamp cuts n off at them.
+    the ends of the image, a clamp cuts n off at them, a wrap is a sum that loses what is left of the point.
     symmetry: how a table answers negative n from its half for n >= 0; complement is f(-n) = 1 - f(n).
     flat_from: where a table may end, of (decades, most): the n beyond which f is within exp(-decades) of its limit, or
     above `most`.
-    rows: sums that one neuron forms. steep: without bound towards n = 0, from where the segments of its table grow.
+    rows: sums that one neuron forms. steep: its slope has no bound towards n = 0, from where the segments of its table
+    grow.
     periodic: of period 2, so its sum may lose what is left of the point.
     """
 
     value: Callable[[Any, Any], Any]
     slope: Callable[..., Any]
     image: tuple[float, float]
-    lowered: Literal["affine", "table", "clamp", "threshold", "select", "product"]
+    lowered: Literal["affine", "table", "clamp", "threshold", "select", "product", "wrap"]
     symmetry: Literal["odd", "even", "complement"] | None = None
     flat_from: Callable[[float, float], float] | None = None
     rows: int = 1
@@ -45,6 +48,11 @@ class Activation:
     @property
     def is_bounded(self) -> bool:
         return math.isfinite(self.image[0]) and math.isfinite(self.image[1])
+
+    @property
+    def diverges(self) -> bool:
+        """Whether it has no answer at 0, so that no code may stand for less."""
+        return self.steep and abs(float(self.value(np, np.zeros(1))[0])) > 1.0
 
     @property
     def slope_reads_n(self) -> bool:
@@ -272,6 +280,15 @@ ACTIVATIONS: dict[str, Activation] = {
         flat_from=lambda decades, most: math.exp(2.0 * decades),
         steep=True,
     ),
+    "root": Activation(  # of a sum that is never negative
+        value=lambda xp, n: xp.sqrt(abs(n)),
+        slope=lambda xp, y, n: 0.5 * xp.sign(n) / xp.clip(y, math.sqrt(_LEAST), math.inf),
+        image=(0.0, math.inf),
+        lowered="table",
+        symmetry="even",
+        flat_from=lambda decades, most: most * most,
+        steep=True,
+    ),
     "sine": Activation(  # of half turns
         value=_sine,
         slope=_sine_slope,
@@ -279,6 +296,13 @@ ACTIVATIONS: dict[str, Activation] = {
         lowered="table",
         symmetry="odd",
         flat_from=lambda decades, most: 2.0**62,  # beyond every format
+        periodic=True,
+    ),
+    "turn": Activation(  # what is left of whole turns, in half turns
+        value=lambda xp, n: n - 2.0 * xp.floor(0.5 * n + 0.5),
+        slope=lambda xp, y: 1.0,
+        image=(-1.0, 1.0),
+        lowered="wrap",
         periodic=True,
     ),
     "arctan": Activation(

@@ -50,6 +50,8 @@ def test_every_activation_is_its_definition(name):
         "select": [2.0, -1.0],  # -3 and -0.5 choose between 0 or 2, and 0.25 or -1
         "product": [-0.75, -1.0, 0.0],
         "rsqrt": [3**-0.5, 2**0.5, 1e45, 2.0, 2**-0.5, 1.0],  # at 0 the root of 1e-90
+        "root": np.sqrt(np.abs(n)),
+        "turn": [-1.0, -0.5, 0.0, 0.25, 0.0, -1.0],
         "sine": np.sin(np.pi * n),
         "arctan": np.arctan(n) * 2 / np.pi,
         "ln": np.log(np.maximum(np.abs(n), 1e-90)),

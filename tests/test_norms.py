@@ -87,6 +87,14 @@ CARRIED = {
     "sine and cosine": lambda y: torch.cat([torch.sin(3 * y[:3]), torch.cos(y[3:])]),
     "angles": lambda y: torch.cat([torch.atan(5 * y[:3]), torch.atan2(y[:3], y[3:])]),
     "logarithms": lambda y: torch.log1p(y.abs()) + torch.log2(1 + y * y) + torch.log10(2 + torch.tanh(y)),
+    "arcs": lambda y: torch.asin(torch.tanh(y)) + torch.acos(y.clamp(-0.5, 1.0)) + torch.asinh(3 * y),
+    "hyperbolic": lambda y: torch.sinh(y) + torch.cosh(y / 2) + torch.tan(torch.tanh(y)),
+    "whole turns": lambda y: torch.remainder(3 * y, 2.0) + torch.floor(5 * y) - torch.ceil(y / 3),
+    "in order": lambda y: torch.cat(
+        [y.sort()[0][:2], y.topk(2)[0], y.median()[None], y.reshape(2, 3).median(1)[0][:1]]
+    ),
+    "divisor of any sign": lambda y: y / (y + 0.3) + 1 / y,
+    "no numbers": lambda y: torch.nan_to_num(y),
     "roots of roots": lambda y: y.abs() ** torch.tensor([1.5, 0.25, 2.875, 0.3, -0.5, -1.5]).double(),
     "quaternion": lambda y: y / y.norm(),
     "distances": lambda y: torch.cdist(y.reshape(2, 3), torch.ones(3, 3, dtype=y.dtype)).ravel(),
@@ -153,13 +161,16 @@ def test_a_spread_of_more_octaves_than_the_format_has_is_refused_with_what_to_do
     norm = Behind(lambda y: F.layer_norm(y * torch.relu(y[:1]), (N,), eps=1e-10))
     network = from_torch(norm, ["a", "b", "c"], [f"y{k}" for k in range(N)])
     with pytest.raises(
-        InputError, match=r"divided by its root, and it goes from .*; 20 bits hold 16 octaves\. Raise the"
+        InputError,
+        match=r"divided by it or its root, .* and it goes from .*; 20 bits hold 16 octaves\. Limit",
     ):
         fixed(network, 12)
 
 
 def angles(y):
-    return torch.cat([torch.sin(30 * y[:2]), torch.atan(y[2:4]), torch.log1p(y[4:].abs())])
+    return torch.cat(
+        [torch.sin(30 * y[:2]), torch.atan(y[2:3]), torch.remainder(9 * y[3:4], 2), torch.log1p(y[4:].abs())]
+    )
 
 
 IN_HARDWARE = (

@@ -25,6 +25,7 @@ def test_lines_state_their_worst_error_over_every_code_of_both_signs(function, a
     table = make_table(function, arg, Fix(12, 11), 1.25, form=form)
     assert list(table.problems()) == []
     codes = np.arange(0 if ACTIVATIONS[function].steep else arg.lo, arg.hi + 1)  # a root is of positive sums
+    codes = np.append(codes, arg.lo)  # whose size is one more
     true = np.clip(ACTIVATIONS[function].value(xp, codes * arg.lsb), -1.0, 1.0)
     error = np.abs(lookup(table, codes) * table.out.lsb - true)
     assert table.worst_error == pytest.approx(error.max(), rel=1e-9)

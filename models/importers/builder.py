@@ -23,6 +23,7 @@ SAME = 1e-12  # of the largest number of a row: what scalings on the way leave o
 WIDE = 1 << 20  # of limits: scaled to 0 and 1, a value between them would lose more than 20 of its 53 bits
 POSITIVE = {"logsig", "negexp", "normal", "rsqrt", "softfall"}  # never 0, however small
 SMALL = 1e-75  # below what these are, so that the product of four is still a float
+SORTED = 16  # numbers: they take a multiplexer for each pair
 MOST = 1 << 22  # weights of one value: a matrix of 2,048 by 2,048
 _NAMED = re.compile(r"\s*(\S+?)\s*(?:\[([^\]]*)\])?\s*")  # of a port, with its unit
 Signal = tuple[str, int]
@@ -172,7 +173,8 @@ class Builder:
         self._initial: dict[str, np.ndarray] = {}
         self._made: dict[str, tuple[Value, str]] = {}  # a layer -> the sum that it reads, its activation
         self._ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        self._roots: dict[str, Value] = {}  # a layer that is a square root -> what 1 by it is
+        self._inverses: dict[str, Value] = {}  # the same -> 1 by it
+        self._roots: dict[str, Value] = {}  # a layer that is a square root -> of what
 
     def input(self, ports: Sequence[Port], shape: Sequence[int]) -> Value:
         """The ports of an input tensor, in their units, side by side."""
@@ -248,6 +250,17 @@ class Builder:
             best = self.chosen(ahead, best, other, hint)
         return at if keep else at.moved(lambda i: np.squeeze(i, axis))
 
+    def ordered(self, value: Value, axis: int, hint: str) -> list[Value]:
+        """The elements along an axis, the least first. Raises InputError for more than SORTED."""
+        found = [taken(value, [k], axis) for k in range(value.shape[axis])]
+        if len(found) > SORTED:
+            raise InputError(f"sorts {len(found)} numbers; at most {SORTED} can be carried")
+        for last in range(len(found) - 1, 0, -1):
+            for k in range(last):
+                a, b = found[k : k + 2]
+                found[k : k + 2] = self.minimum(a, b, hint), self.maximum(a, b, hint)
+        return found
+
     def multiplied(self, value: Value, axes: Sequence[int], keep: bool, hint: str) -> Value:
         """The product along some axes, as `largest`."""
         return self.along(value, axes, keep, lambda a, b: self.product(a, b, hint))
@@ -313,11 +326,10 @@ class Builder:
 
     def root(self, value: Value, hint: str) -> Value:
         """The square root of what is never negative."""
-        low, high = (np.sqrt(end) for end in self.ends(value))
-        inverse = self.activated(value, "rsqrt", hint)
-        found = self.product(value, inverse, hint)
+        found = self.activated(value, "root", hint)
         ((name, _),) = found.weights
-        self._ends[name], self._roots[name] = (low, high), inverse
+        low, high = (np.sqrt(end) for end in self.ends(value))
+        self._ends[name], self._roots[name] = (low.ravel(), high.ravel()), value
         return found
 
     def positive(self, value: Value) -> Value:
@@ -335,7 +347,9 @@ class Builder:
             return None
         at = np.argmax(w != 0, 1)
         factor = w[np.arange(len(w)), at].reshape(value.shape)
-        return self._roots[name].moved(np.ravel).rows(at.reshape(value.shape)).times(1 / factor)
+        if name not in self._inverses:
+            self._inverses[name] = self.activated(self._roots[name].moved(np.ravel), "rsqrt", name)
+        return self._inverses[name].rows(at.reshape(value.shape)).times(1 / factor)
 
     def named(self, name: str, value: Value, activation: str) -> None:
         """A layer of that name, which others may have read before it was there."""

@@ -95,14 +95,17 @@ def inverse_root(builder: Builder, x: Value, hint: str = "root") -> Value:
 
 
 def inverse(builder: Builder, x: Value, hint: str = "inverse") -> Value:
-    """1 / x, as the square of 1 / sqrt(x). Raises InputError for what may change its sign."""
+    """1 / x, as the square of 1 / sqrt(|x|), with the sign of x."""
     if (found := x.constant) is not None:
         if not found.all():
             raise InputError("divides by 0")
         return constant(1 / found)
-    sign = np.where(builder.ends(x)[1] < 0, -1.0, 1.0).reshape(x.shape)
-    turned = x.times(sign)
-    _at_least(builder, turned, 0.0, "the divisor is a signal that may be 0")
+    low, high = builder.ends(x)
+    if (low < 0).any() and (high > 0).any():
+        size = inverse(builder, builder.rectified(x, -1.0, hint), hint)
+        return builder.selected(x, size, size.times(-1.0), hint)
+    turned = x.times(-1.0) if (low < 0).any() else x
+    sign = -1.0 if (low < 0).any() else 1.0
     if (there := builder.inverse_of_root(turned)) is not None:
         return there.times(sign)
     return builder.power(builder.activated(turned, "rsqrt", hint), 2, hint).times(sign)
@@ -150,6 +153,42 @@ def cosine(builder: Builder, x: Value, hint: str = "cosine") -> Value:
 
 def arctan(builder: Builder, x: Value, hint: str = "arctan") -> Value:
     return builder.activated(x, "arctan", hint).times(pi / 2)
+
+
+def hyperbolic(builder: Builder, x: Value, sign: float, hint: str) -> Value:
+    """The half of e^x and, by that sign, e^-x."""
+    return exp(builder, x, hint).plus(exp(builder, x.times(-1.0), hint).times(sign)).times(0.5)
+
+
+def arsinh(builder: Builder, x: Value, hint: str = "arsinh") -> Value:
+    size = builder.rectified(x, -1.0, hint)
+    found = ln(builder, size.plus(root(builder, builder.power(x, 2, hint).plus(constant(1.0)), hint)), hint)
+    return builder.selected(x, found, found.times(-1.0), hint)
+
+
+def arcsine(builder: Builder, x: Value, hint: str = "arcsine") -> Value:
+    """Raises InputError for what may be beyond -1 and 1."""
+    low, high = builder.ends(x)
+    if (low < -1).any() or (high > 1).any():
+        raise InputError("an angle of a signal that may be beyond -1 and 1; limit it (clamp)")
+    rest = builder.power(x, 2, hint).times(-1.0).plus(constant(1.0))
+    return arctan2(builder, x, root(builder, builder.rectified(rest, 0.0, hint), hint), hint)
+
+
+def remainder(builder: Builder, x: Value, period: np.ndarray, hint: str = "remainder") -> Value:
+    """What is left of whole periods, from 0 to a positive period."""
+    if not (period > 0).all():
+        raise InputError("a period that is not positive")
+    half = builder.activated(x.times(2 / period).plus(constant(-1.0)), "turn", hint)
+    return half.plus(constant(1.0)).times(period / 2)
+
+
+def floor(builder: Builder, x: Value, hint: str = "floor") -> Value:
+    return x.plus(remainder(builder, x, np.ones(()), hint).times(-1.0))
+
+
+def ceil(builder: Builder, x: Value, hint: str = "ceil") -> Value:
+    return floor(builder, x.times(-1.0), hint).times(-1.0)
 
 
 def arctan2(builder: Builder, y: Value, x: Value, hint: str = "arctan2") -> Value:

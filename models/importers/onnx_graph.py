@@ -495,6 +495,19 @@ def _logarithm(walk: _Walk, x: Value) -> Value:
     return value.plus(softplus(walk.builder, value, walk.hint).times(-1.0))
 
 
+def _modulo(walk: _Walk, x: Value, period: Value, fmod: int = 0) -> Value:
+    if fmod:
+        raise walk.refused("fmod = 1, with the sign of what is divided, is not carried; write x - p floor(x / p)")
+    return norms.remainder(walk.builder, x, walk.fixed(period, "the period"), walk.hint)
+
+
+def _top(walk: _Walk, x: Value, count: Value, axis: int = -1, largest: int = 1, sorted: int = 1) -> list[Value | None]:
+    """Their values; of their places nothing is known."""
+    found = walk.builder.ordered(x, axis, walk.hint)
+    first = (found[::-1] if largest else found)[: walk.whole(count, "the count")[0]]
+    return [joined(first, axis), None]
+
+
 def _place(sign: float) -> Callable:
     """The index of the maximum (1) or the minimum (-1) along an axis."""
 
@@ -783,6 +796,22 @@ FUNCTIONS: dict[str, Callable] = {
     "Sin": _curve(norms.sine),
     "Cos": _curve(norms.cosine),
     "Atan": _curve(norms.arctan),
+    "Asin": _curve(norms.arcsine),
+    "Acos": lambda walk, x: norms.arcsine(walk.builder, x, walk.hint).times(-1.0).plus(constant(np.pi / 2)),
+    "Sinh": lambda walk, x: norms.hyperbolic(walk.builder, x, -1.0, walk.hint),
+    "Cosh": lambda walk, x: norms.hyperbolic(walk.builder, x, 1.0, walk.hint),
+    "Asinh": _curve(norms.arsinh),
+    "Tan": lambda walk, x: walk.builder.product(
+        norms.sine(walk.builder, x, walk.hint),
+        norms.inverse(walk.builder, norms.cosine(walk.builder, x, walk.hint), walk.hint),
+        walk.hint,
+    ),
+    "Floor": _curve(norms.floor),
+    "Ceil": _curve(norms.ceil),
+    "Mod": _modulo,
+    "IsNaN": lambda walk, x: np.zeros(x.shape, bool),
+    "IsInf": lambda walk, x, **_: np.zeros(x.shape, bool),
+    "TopK": _top,
     "ArgMax": _place(1.0),
     "ArgMin": _place(-1.0),
     "Exp": lambda walk, x: norms.exp(walk.builder, x, walk.hint),

@@ -537,7 +537,7 @@ class _Walk:
         given = {k for n in self.node.all_input_nodes for k in types(n.meta.get("val"))}
         whole = {torch.bool, torch.int64} if base in AFFINE | LOGICAL else {torch.int64}
         made = self.node.meta.get("val")
-        made = made[0] if base in ("max", "min") and isinstance(made, tuple | list) else made  # without the places
+        made = made[0] if base in PLACED and isinstance(made, tuple | list) else made  # without the places
         for kind in types(made):
             if (torch.float64 in given and kind is torch.int64) or kind not in {torch.float64, *whole}:
                 raise self.refused(base, f"it computes in {kind}, a network in float64; leave that out, or keep floats")
@@ -623,6 +623,7 @@ CARRIED = (
 )
 BRANCH = "forward branches on data or reads a number out of a tensor: write torch.where, torch.clamp or torch.relu"
 CHANGED = ("BUFFER_MUTATION", "PARAMETER_MUTATION")
+PLACED = {"max", "min", "sort", "topk", "median"}  # whose places are left out
 PLACES = {"argmax", "argmin"}  # whose whole numbers are a result
 INDICES = {"index", "indices", "mask", "condition"}
 RANDOM = {"native_dropout", "dropout", "rand", "randn", "bernoulli"}
@@ -932,6 +933,26 @@ def _distances(walk: _Walk, a: Any, b: Any, order: float = 2.0, *_: Any) -> Valu
     return _length(walk, apart, order, -1)
 
 
+def _sorted(walk: _Walk, x: Value, dim: int = -1, descending: bool = False, **_: Any) -> list[Value | None]:
+    """Of their places nothing is known."""
+    found = walk.builder.ordered(x, dim, walk.hint())
+    return [joined(found[::-1] if descending else found, dim), None]
+
+
+def _top(walk: _Walk, x: Value, count: int, dim: int = -1, largest: bool = True, *_: Any) -> list[Value | None]:
+    found = walk.builder.ordered(x, dim, walk.hint())
+    return [joined((found[::-1] if largest else found)[:count], dim), None]
+
+
+def _median(walk: _Walk, x: Value, dim: int | None = None, keep: bool = False) -> Any:
+    """The lower one of two."""
+    flat = x if dim is not None else x.moved(np.ravel)
+    axis = -1 if dim is None else dim
+    found = walk.builder.ordered(flat, axis, walk.hint())[(flat.shape[axis] - 1) // 2]
+    found = found if keep else found.moved(lambda i: np.squeeze(i, axis))
+    return found if dim is None else [found, None]
+
+
 def _angle(walk: _Walk, y: Any, x: Any) -> Value:
     return norms.arctan2(walk.builder, _value(y), _value(x), walk.hint())
 
@@ -1094,6 +1115,15 @@ FUNCTIONS: dict[str, Callable] = {
     "log1p": lambda walk, x: norms.ln(walk.builder, x.plus(constant(1.0)), walk.hint()),
     "log2": _logarithm(2.0), "log10": _logarithm(10.0),
     **dict.fromkeys(["atan", "arctan"], _curve(norms.arctan)),
+    **dict.fromkeys(["asin", "arcsin"], _curve(norms.arcsine)),
+    **dict.fromkeys(["acos", "arccos"], lambda walk, x: _add(walk, math.pi / 2, _curve(norms.arcsine)(walk, x), -1.0)),
+    **dict.fromkeys(["asinh", "arcsinh"], _curve(norms.arsinh)),
+    "sinh": lambda walk, x: norms.hyperbolic(walk.builder, x, -1.0, walk.hint()),
+    "cosh": lambda walk, x: norms.hyperbolic(walk.builder, x, 1.0, walk.hint()),
+    "tan": lambda walk, x: _divide(walk, _curve(norms.sine)(walk, x), _curve(norms.cosine)(walk, x)),
+    "floor": _curve(norms.floor), "ceil": _curve(norms.ceil), "nan_to_num": lambda walk, x, *_: x,
+    "remainder": lambda walk, x, by: norms.remainder(walk.builder, x, walk.fixed(by), walk.hint()),
+    "sort": _sorted, "topk": _top, "median": _median,
     **dict.fromkeys(["atan2", "arctan2"], _angle),
     "argmax": _place(1.0), "argmin": _place(-1.0), "_cdist_forward": _distances, "cdist": _distances,
     "expm1": lambda walk, x: norms.exp(walk.builder, x, walk.hint()).plus(constant(-1.0)),
