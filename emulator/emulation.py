@@ -6,14 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from greygate.emulator.engine import run
-from greygate.emulator.program import Clipped, Program
+from greygate.emulator.numbers import Overflow
+from greygate.emulator.program import Affine, Clipped, Program
 
 
 @dataclass(frozen=True)
 class Emulation:
     """What a program answered.
 
-    outputs: port -> (N,) or (N, size), in the port's unit. saturations: signal -> events, of those that had any.
+    outputs: port -> (N,) or (N, size), in the port's unit. saturations: signal -> events, of those that had any; an
+    angle that loses whole turns is none.
     clipped: input port -> how many of its values lie outside the format, of those that have any.
     """
 
@@ -39,5 +41,10 @@ def emulate(program: Program, inputs: Mapping[str, np.ndarray]) -> Emulation:
     True
     """
     answer = run(program, program.encode(inputs), states=False)
-    saturations = {name: count for name, count in answer.saturations.items() if count}
+    turns = {o.out.name for o in program.operations if isinstance(o, Affine) and _turns(o)}
+    saturations = {name: count for name, count in answer.saturations.items() if count and name not in turns}
     return Emulation(program.decode(answer.outputs), saturations, program.clipped(inputs))
+
+
+def _turns(operation: Affine) -> bool:
+    return operation.overflow is Overflow.WRAP and operation.out.fix.frac == operation.out.fix.width - 1

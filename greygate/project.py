@@ -99,7 +99,7 @@ def compile_project(
         )
     formats = formats or source.formats()
     with replacing_folder(folder, "compile", LATER) as new:
-        records = source.records()
+        records = source.records(answering=True)
         if quantized:
             compiled = compile_declared(quantized, records, source.training, source.period)
         else:

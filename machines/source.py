@@ -19,7 +19,7 @@ from greygate.models.importers.files import compared, foreign, load, load_quanti
 from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network, Port
 from greygate.models.training.record import Record
-from greygate.plants.readers.read import read_recording
+from greygate.plants.readers.read import read_channels, read_recording
 from greygate.progress import once
 
 
@@ -42,13 +42,26 @@ def read_record(network: Network, path: Path | str, targets: bool = True) -> tup
     return Record(channels(network.inputs), channels(network.outputs) if targets else {}), recording.dt
 
 
+def _answered(network: Network, path: Path | str) -> tuple[Record, float]:
+    names = {c.name for c in read_channels(path, {p.name: p.unit for p in network.inputs + network.outputs})}
+    if names & {p.name for p in network.outputs}:
+        return read_record(network, path)
+    record, dt = read_record(network, path, targets=False)
+    once(f"{path}: has no output of {network.name}; what the network answers stands for it")
+    return replace(record, targets=network.run(record.inputs)), dt
+
+
 def _outputs(program: Program, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return emulate(program, inputs).outputs
 
 
-def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str, Record]:
-    """Read recordings by scenario, as `read_record`. Raises InputError if their sample times differ."""
-    found = {scenario: read_record(network, path) for scenario, path in paths.items()}
+def read_records(network: Network, paths: Mapping[str, Path | str], answering: bool = False) -> dict[str, Record]:
+    """Read recordings by scenario, as `read_record`. Raises InputError if their sample times differ.
+
+    answering: where a recording has none of the outputs, they are what the network answers, with a line.
+    """
+    read = _answered if answering else read_record
+    found = {scenario: read(network, path) for scenario, path in paths.items()}
     times = {path: dt for path, (_, dt) in zip(paths.values(), found.values(), strict=True)}
     for path, dt in times.items():
         first, expected = next(iter(times.items()))
@@ -90,13 +103,15 @@ class Source:
         """The network and the formats of its signals, of a file that declares them (QONNX); else None."""
         return load_quantized(self.name) if foreign(self.name) else None
 
-    def records(self) -> dict[str, Record]:
+    def records(self, answering: bool = False) -> dict[str, Record]:
+        """By scenario. answering: a network of another tool stands for outputs that no recording has."""
         if not self.recordings:
             if self.name not in CATALOG:
                 self.network()  # that there is none of that name is the first mistake
                 raise InputError(f"{self.name}: no recordings; give FILE.csv after it")
             return dict(entry(self.name).records())
-        records = read_records(self.network(), self.recordings)
+        network = self.network()
+        records = read_records(network, self.recordings, answering=answering and foreign(self.name))
         if self.imported:
             once(f"{self.name}: {self.imported}")
         return {scenario: replace(record, skip=self.settle) for scenario, record in records.items()}
@@ -106,7 +121,7 @@ class Source:
         """The worst of the recordings for a network of another tool beside its own program; None for any other."""
         if not (self.recordings and foreign(self.name)):
             return None
-        records, quantized = read_records(self.network(), self.recordings), self.quantized()
+        records, quantized = read_records(self.network(), self.recordings, answering=True), self.quantized()
         given, rounded = [r.inputs for r in records.values()], None
         if quantized:
             try:
@@ -138,7 +153,9 @@ class Source:
         """Sample time of the network, or else of its first recording [s]."""
         if (known := self.network().sample_time()) is not None:
             return known
-        return read_recording(next(iter(self.recordings.values()))).dt if self.recordings else 1e-3
+        if not self.recordings:
+            return 1e-3
+        return read_record(self.network(), next(iter(self.recordings.values())), targets=False)[1]
 
     @property
     def supposed(self) -> str:

@@ -143,6 +143,19 @@ def test_commands_say_how_far_the_network_is_from_onnxruntime(tmp_path):
         assert f"{file}: onnxruntime {version('onnxruntime')} and the network differ by at most" in said
 
 
+def test_a_recording_of_inputs_alone_whose_headers_are_the_ports_is_compiled_and_verified(tmp_path):
+    file, columns = recorded(next(c for c in BESIDE if c.model == "scikit-learn pipeline"), tmp_path)
+    rows = np.column_stack([1e-3 * np.arange(STEPS), *columns.values()])
+    csv, build = tmp_path / "run.csv", tmp_path / "build"
+    np.savetxt(csv, rows, delimiter=",", comments="", header=",".join(["t_s", *columns]))
+    code, _, said = greygate("compile", file, csv, "--out", build)
+    assert code == 0, said
+    assert f"{csv}: has no output of {file.stem}; what the network answers stands for it" in said
+    assert greygate("verify", build)[0] == 0
+    code, _, said = greygate("validate", file, csv)
+    assert (code, "is missing" in said) == (2, True)
+
+
 # -- what cannot be carried ------------------------------------------------------------------------------------------
 
 

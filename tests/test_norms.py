@@ -14,6 +14,7 @@ from torch.nn import functional as F
 
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
+from greygate.emulator.emulation import emulate
 from greygate.emulator.engine import run
 from greygate.errors import InputError
 from greygate.hardware.verify import Case, Scenario, verify_many
@@ -130,9 +131,11 @@ def fixed(network, width=16):
 
 def test_the_sine_of_an_angle_of_many_turns_keeps_its_digits():
     network = from_torch(Behind(lambda y: torch.sin(200 * y)), ["a", "b", "c"], [f"y{k}" for k in range(N)])
-    program, _, error, _ = fixed(network)
+    program, record, error, _ = fixed(network)
     assert np.abs(error).max() < 0.01  # 16 bits of an input are 5e-3 rad of an angle of 300
     assert [o.overflow for o in program.operations if o.out.name.endswith(".n")] == ["wrap"]
+    answer = emulate(program, record.inputs)
+    assert answer.saturations == {}
 
 
 @pytest.mark.parametrize("gain", [1.0, WIDE])

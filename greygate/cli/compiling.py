@@ -220,7 +220,7 @@ class _Wanted:
 
         self.suppose()
         before = self.source.network() if self.prunes else None
-        records = self.source.records()
+        records = self.source.records(answering=True)
         rmse = {scenario: fixed_and_float(compiled, judged, before) for scenario, judged in records.items()}
         passes = [
             {"pass": p.name, "layers": p.layers, "parameters": p.parameters, "multiplications": p.multiplications,

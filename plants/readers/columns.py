@@ -72,7 +72,7 @@ def channels(
     Raises InputError for a header or a unit that cannot be read in one way.
     """
     units, required = dict(units or {}), required or {}
-    named = [(column, *_named(column, source)) for column in columns]
+    named = [(column, *_named(column, source, required)) for column in columns]
     clocks = [k for k, (c, name, _) in enumerate(named) if c.time is None and _is_clock(name, c.header, clock)]
     if clock is not None and not clocks:
         raise InputError(f"{source}: no column {clock}; it has {', '.join(name for _, name, _ in named)}")
@@ -122,8 +122,13 @@ def channels(
     return found
 
 
-def _named(column: Column, source: str) -> tuple[str, str | None]:
-    """(name, unit or None) that a header gives. Raises InputError if the file tells another unit apart from it."""
+def _named(column: Column, source: str, required: Mapping[str, str]) -> tuple[str, str | None]:
+    """(name, unit or None) that a header gives. Raises InputError if the file tells another unit apart from it.
+
+    required: channel -> unit; a header that is the name of one without a unit has none, `x_1` as little as `x_2`.
+    """
+    if required.get(column.header) == "1" and column.unit in (None, "", "1"):
+        return column.header, "1"
     name, unit = split(column.header, source)
     if not column.unit or unit is None or same(column.unit, unit):
         return name, unit

@@ -98,6 +98,8 @@ def _styled(path: Path, required: Mapping[str, str], *asked: Any) -> bool:
     if path.suffix.lower() in FORMATS or any(asked) or _sidecar(path).exists():
         return True
     header, second = read_header(path)
+    if any(required.get(h) == "1" for h in header):
+        return True
     if not header or header[0] not in ("t", "t_s", "k"):
         return any(_STYLED.search(h) for h in header) or (bool(header) and header[0].lower() in ("time", "time_s"))
     others = {} if header[0] == "k" else required
