@@ -3,12 +3,11 @@
 Draws docs/pictures/app.webp of docs/browser.md: what is clicked is framed; while something runs, seconds are left out.
 """
 
-import base64
-import struct
+import io
 import time
-from collections.abc import Iterator
 
 import browsing
+from PIL import Image
 
 from greygate import children
 
@@ -36,24 +35,18 @@ WAY = (  # (what is clicked, what is then waited for)
     ("button:text-is('Verify')", "#verdict:has-text('every bit is equal')"),
 )
 EFFECT = 2  # clicks until the effect is named
-ENCODED = """async png => {
-  const picture = await createImageBitmap(await (await fetch("data:image/png;base64," + png)).blob());
-  const canvas = Object.assign(document.createElement("canvas"), {width: picture.width, height: picture.height});
-  canvas.getContext("2d").drawImage(picture, 0, 0);
-  return canvas.toDataURL("image/webp", 0.35).split(",")[1];
-}"""
+QUALITY = 35  # of 100, of WebP
 SCROLL = "y => { const e = document.querySelector('iframe'); scrollTo(0, e ? e.offsetTop - 90 + y : y); }"
 
 
 class Film:
-    """The frames of a tab, each once. encoder: a tab of its own, whose canvas makes WebP of PNG."""
+    """The frames of a tab, each once."""
 
-    def __init__(self, tab, encoder):
-        self.tab, self.encoder, self.frames = tab, encoder, list[bytes]()
+    def __init__(self, tab):
+        self.tab, self.frames = tab, list[Image.Image]()
 
     def take(self) -> None:
-        png = base64.b64encode(self.tab.screenshot()).decode()
-        found = base64.b64decode(self.encoder.evaluate(ENCODED, png))
+        found = Image.open(io.BytesIO(self.tab.screenshot())).convert("RGB")
         if found not in self.frames[-1:]:
             self.frames.append(found)
 
@@ -72,27 +65,11 @@ class Film:
         self.tab.wait_for_timeout(500)
         self.take()
 
-    def animated(self) -> bytes:
-        """An animated WebP (RFC 9649), shown again and again."""
-        wide, high = (struct.pack("<I", side - 1)[:3] for side in SIZE)
-        shown = struct.pack("<I", round(1000 * SECONDS / len(self.frames)))[:3]
-        parts = [_chunk(b"VP8X", b"\x02\0\0\0" + wide + high), _chunk(b"ANIM", b"\xff" * 4 + b"\0\0")]
-        for frame in self.frames:
-            picture = next(chunk for name, chunk in _chunks(frame) if name == b"VP8 ")
-            parts.append(_chunk(b"ANMF", bytes(6) + wide + high + shown + b"\x02" + _chunk(b"VP8 ", picture)))
-        return _chunk(b"RIFF", b"WEBP" + b"".join(parts))
-
-
-def _chunk(name: bytes, content: bytes) -> bytes:
-    return name + struct.pack("<I", len(content)) + content + bytes(len(content) % 2)
-
-
-def _chunks(file: bytes) -> Iterator[tuple[bytes, bytes]]:
-    at = 12
-    while at < len(file):
-        (size,) = struct.unpack_from("<I", file, at + 4)
-        yield file[at : at + 4], file[at + 8 : at + 8 + size]
-        at += 8 + size + size % 2
+    def write(self) -> None:
+        """An animated WebP, shown again and again."""
+        first, *rest = self.frames
+        shown = round(1000 * SECONDS / len(self.frames))
+        first.save(FILM, save_all=True, append_images=rest, duration=shown, loop=0, quality=QUALITY, method=6)
 
 
 def filmed() -> dict:
@@ -103,7 +80,7 @@ def filmed() -> dict:
         with children.started(children.python("-m", "greygate", "app", str(folder)), stdout=children.PIPE) as server:
             address = server.stdout.readline().strip()  # type: ignore[union-attr]
             with browsing.chromium() as browser, browsing.opened(browser, address, SIZE, "light") as (tab, told):
-                film, began, found = Film(tab, browser.new_page()), time.monotonic(), {}
+                film, began, found = Film(tab), time.monotonic(), {}
                 film.take()
                 for clicks, (what, then) in enumerate(WAY, 1):
                     film.click(what, then)
@@ -114,7 +91,7 @@ def filmed() -> dict:
                             tab.evaluate(SCROLL, y)
                             tab.wait_for_timeout(500)
                             film.take()
-                FILM.write_bytes(film.animated())
+                film.write()
                 return found | {"frames": len(film.frames), "bytes": FILM.stat().st_size, "console": list(told)}
 
 

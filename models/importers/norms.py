@@ -1,11 +1,10 @@
-"""Softmax, norms by an input's own spread, roots, divisions, logarithms and angles, made of what a network has.
+"""Softmax, norms by an input's own spread, roots, divisions, powers and logarithms, made of what a network has.
 
 ln(e^a + e^b) = max(a, b) + ln(1 + e^-|a - b|), so the logarithm of a sum of exponentials is a tree of limits and one
 table, and softmax is e^-|x - it|: nothing overflows. A norm multiplies by 1 / sqrt(v), a table of what cannot be 0.
 """
 
 from collections.abc import Sequence
-from math import pi
 
 import numpy as np
 
@@ -141,66 +140,6 @@ def ln(builder: Builder, x: Value, hint: str = "ln") -> Value:
         return constant(np.log(found))
     _at_least(builder, x, 0.0, "the logarithm of a signal that may be negative")
     return builder.activated(x, "ln", hint)
-
-
-def sine(builder: Builder, x: Value, hint: str = "sine") -> Value:
-    return builder.activated(x.times(1 / pi), "sine", hint)
-
-
-def cosine(builder: Builder, x: Value, hint: str = "cosine") -> Value:
-    return builder.activated(x.times(1 / pi).plus(constant(0.5)), "sine", hint)
-
-
-def arctan(builder: Builder, x: Value, hint: str = "arctan") -> Value:
-    return builder.activated(x, "arctan", hint).times(pi / 2)
-
-
-def hyperbolic(builder: Builder, x: Value, sign: float, hint: str) -> Value:
-    """The half of e^x and, by that sign, e^-x."""
-    return exp(builder, x, hint).plus(exp(builder, x.times(-1.0), hint).times(sign)).times(0.5)
-
-
-def arsinh(builder: Builder, x: Value, hint: str = "arsinh") -> Value:
-    size = builder.rectified(x, -1.0, hint)
-    found = ln(builder, size.plus(root(builder, builder.power(x, 2, hint).plus(constant(1.0)), hint)), hint)
-    return builder.selected(x, found, found.times(-1.0), hint)
-
-
-def arcsine(builder: Builder, x: Value, hint: str = "arcsine") -> Value:
-    """Raises InputError for what may be beyond -1 and 1."""
-    low, high = builder.ends(x)
-    if (low < -1).any() or (high > 1).any():
-        raise InputError("an angle of a signal that may be beyond -1 and 1; limit it (clamp)")
-    rest = builder.power(x, 2, hint).times(-1.0).plus(constant(1.0))
-    return arctan2(builder, x, root(builder, builder.rectified(rest, 0.0, hint), hint), hint)
-
-
-def remainder(builder: Builder, x: Value, period: np.ndarray, hint: str = "remainder") -> Value:
-    """What is left of whole periods, from 0 to a positive period."""
-    if not (period > 0).all():
-        raise InputError("a period that is not positive")
-    half = builder.activated(x.times(2 / period).plus(constant(-1.0)), "turn", hint)
-    return half.plus(constant(1.0)).times(period / 2)
-
-
-def floor(builder: Builder, x: Value, hint: str = "floor") -> Value:
-    return x.plus(remainder(builder, x, np.ones(()), hint).times(-1.0))
-
-
-def ceil(builder: Builder, x: Value, hint: str = "ceil") -> Value:
-    return floor(builder, x.times(-1.0), hint).times(-1.0)
-
-
-def arctan2(builder: Builder, y: Value, x: Value, hint: str = "arctan2") -> Value:
-    """The angle of (x, y), from that of the octant; at 0, 0 it is 0."""
-    high, wide = (builder.rectified(v, -1.0, hint) for v in (y, x))
-    steep = high.plus(wide.times(-1.0))
-    largest = builder.maximum(high, wide, hint)
-    least = builder.minimum(high, wide, hint)
-    part = arctan(builder, builder.product(least, inverse(builder, largest, hint), hint), hint)
-    found = builder.chosen(steep, part.times(-1.0).plus(constant(pi / 2)), part, hint)
-    found = builder.chosen(x, found, found.times(-1.0).plus(constant(pi)), hint)
-    return builder.chosen(y, found, found.times(-1.0), hint)
 
 
 def powers(builder: Builder, x: Value, exponents: np.ndarray, hint: str = "power") -> Value:

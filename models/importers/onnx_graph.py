@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from greygate.errors import InputError, one_line, shown
-from greygate.models.importers import norms, onnx_space
+from greygate.models.importers import angles, norms, onnx_space
 from greygate.models.importers.builder import Builder, Value, constant, joined, taken, titled
 from greygate.models.importers.curves import CURVES, instead, softplus
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, STANDARD, array, first, ports_of, read, shape
@@ -498,7 +498,7 @@ def _logarithm(walk: _Walk, x: Value) -> Value:
 def _modulo(walk: _Walk, x: Value, period: Value, fmod: int = 0) -> Value:
     if fmod:
         raise walk.refused("fmod = 1, with the sign of what is divided, is not carried; write x - p floor(x / p)")
-    return norms.remainder(walk.builder, x, walk.fixed(period, "the period"), walk.hint)
+    return angles.remainder(walk.builder, x, walk.fixed(period, "the period"), walk.hint)
 
 
 def _top(walk: _Walk, x: Value, count: Value, axis: int = -1, largest: int = 1, sorted: int = 1) -> list[Value | None]:
@@ -793,21 +793,7 @@ FUNCTIONS: dict[str, Callable] = {
     "Sum": lambda walk, *values: reduce(Value.plus, values),
     "Pow": _power,
     "Log": _logarithm,
-    "Sin": _curve(norms.sine),
-    "Cos": _curve(norms.cosine),
-    "Atan": _curve(norms.arctan),
-    "Asin": _curve(norms.arcsine),
-    "Acos": lambda walk, x: norms.arcsine(walk.builder, x, walk.hint).times(-1.0).plus(constant(np.pi / 2)),
-    "Sinh": lambda walk, x: norms.hyperbolic(walk.builder, x, -1.0, walk.hint),
-    "Cosh": lambda walk, x: norms.hyperbolic(walk.builder, x, 1.0, walk.hint),
-    "Asinh": _curve(norms.arsinh),
-    "Tan": lambda walk, x: walk.builder.product(
-        norms.sine(walk.builder, x, walk.hint),
-        norms.inverse(walk.builder, norms.cosine(walk.builder, x, walk.hint), walk.hint),
-        walk.hint,
-    ),
-    "Floor": _curve(norms.floor),
-    "Ceil": _curve(norms.ceil),
+    **{name.capitalize(): _curve(how) for name, how in angles.FUNCTIONS.items()},
     "Mod": _modulo,
     "IsNaN": lambda walk, x: np.zeros(x.shape, bool),
     "IsInf": lambda walk, x, **_: np.zeros(x.shape, bool),
