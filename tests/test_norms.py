@@ -12,10 +12,13 @@ from onnx_cases import built
 from torch import nn
 from torch.nn import functional as F
 
+from greygate.compiler.centre import centre_biases
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
 from greygate.emulator.emulation import emulate
 from greygate.emulator.engine import run
+from greygate.emulator.numbers import Overflow
+from greygate.emulator.program import Affine
 from greygate.errors import InputError
 from greygate.hardware.verify import Case, Scenario, verify_many
 from greygate.models.importers import norms
@@ -168,6 +171,52 @@ def test_a_spread_of_more_octaves_than_the_format_has_is_refused_with_what_to_do
         match=r"divided by it or its root, .* and it goes from .*; 20 bits hold 16 octaves\. Limit",
     ):
         fixed(network, 12)
+
+
+def exact(function, gain=1.0):
+    """(compiled, record, error) of a function of one number, on codes that every format holds."""
+    x = gain * np.arange(-400, 600) / 1024
+    network = from_torch(Plain(function), ["x"], ["y"])
+    record = Record({"x": x}, network.run({"x": x}))
+    compiled = compile_network(network, {"run": record}, Formats(16))
+    return compiled, record, fixed_error(compiled.program, record)["y"]
+
+
+class Plain(nn.Module):
+    def __init__(self, function):
+        super().__init__()
+        self.function = function
+
+    def forward(self, x):
+        return self.function(x)
+
+
+def test_the_weights_of_an_angle_have_bits_for_its_whole_turns():
+    _, _, error = exact(lambda x: torch.sin(300 * x))
+    assert np.abs(error).max() < 2e-4
+
+
+def test_whole_turns_are_no_error_that_a_bias_mends():
+    compiled, record, _ = exact(lambda x: torch.sin(300 * x))
+    before = compiled.program
+    after = centre_biases(before, compiled.network, [record])
+    moved = [abs(b.bias - a.bias) * 2.0 ** -a.frac for a, b in zip(before.operations, after.operations, strict=True)
+             if isinstance(a, Affine) and a.overflow is Overflow.WRAP]  # fmt: skip
+    assert np.concatenate(moved).max() < 1e-3
+
+
+def test_what_is_left_of_whole_periods_errs_by_a_code_but_where_it_jumps():
+    _, record, error = exact(lambda x: torch.remainder(9 * x, 0.7))
+    calm = np.abs(record.targets["y"] - 0.35) < 0.34
+    assert calm.sum() > 800
+    assert np.abs(error[calm]).max() < 1e-3
+
+
+def test_a_root_of_what_reaches_0_is_compiled_and_a_logarithm_of_it_is_refused():
+    _, _, error = exact(lambda x: torch.sqrt(torch.relu(x)))
+    assert np.abs(error).max() < 1e-3
+    with pytest.raises(InputError, match="its logarithm is taken, and it goes from 0"):
+        exact(lambda x: torch.log(x.abs()))
 
 
 def angles(y):
