@@ -339,7 +339,7 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path, number, code
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize(("asked", "lines"), [("", 1), ("cli._stopped.append(cli.TERMINATED)", 0)])
+@pytest.mark.parametrize(("asked", "lines"), [("", 1), ("cli._stopped.append(KeyboardInterrupt())", 0)])
 def test_what_a_signal_left_half_made_is_not_told(asked, lines):
     program = f"""
 import sys
@@ -353,6 +353,27 @@ Half()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert done.stderr.count("no attribute 'handle'") == lines
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_what_a_signal_left_half_made_is_not_freed_before_the_end(name):
+    """Once llvmlite's own handler has run at the exit, it frees nothing more."""
+    program = f"""
+import os, signal
+import greygate.cli as cli
+from llvmlite.binding.common import _is_shutting_down
+class Half:
+    def __del__(self):
+        os.write(1, b"at the end" if _is_shutting_down() else b"too early")
+def app(**_):
+    half = Half()
+    os.kill(os.getpid(), signal.{name})
+    raise AssertionError
+cli.app = app
+cli.run()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, preexec_fn=heeding, timeout=60)
+    assert (done.returncode, done.stdout) == ({"SIGINT": 130, "SIGTERM": 143}[name], "at the end")
 
 
 @pytest.mark.parametrize("second", [0.1, 0.4])

@@ -34,7 +34,8 @@ from greygate.system import again
 INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, as shells give them
 AGAIN_S = 0.05  # so long a signal that was ignored waits: longer than a callback, shorter than one notices
 UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
-_stopped: list[int] = []  # the exit codes that signals have asked for
+# What signals have raised: held to the end with its frames, since LLVM frees twice what one of them left half handed over
+_stopped: list[KeyboardInterrupt | SystemExit] = []
 DEVELOPERS = "Developers"
 COMMANDS = {  # heading -> commands; those for developers are a group
     "The whole way": (whole.make, tools.app),
@@ -101,7 +102,9 @@ def run() -> None:
             raise
         if line:  # `greygate` alone has printed its help
             say(f"greygate: {line}")
-        code = _stopped[0] if _stopped else 2
+        code = 2
+        if _stopped:
+            code = INTERRUPTED if isinstance(_stopped[0], KeyboardInterrupt) else TERMINATED
     if code == INTERRUPTED:
         say("greygate: interrupted")
     sys.exit(code)
@@ -109,14 +112,14 @@ def run() -> None:
 
 def _terminated(number: int, frame: object) -> None:
     """Exit through every `finally`, so that temporary files are removed; a second signal ends the process at once."""
-    _stopped.append(TERMINATED)
     signal.signal(number, signal.SIG_DFL)
-    sys.exit(TERMINATED)
+    _stopped.append(SystemExit(TERMINATED))
+    raise _stopped[-1]
 
 
 def _interrupted(number: int, frame: object) -> None:
-    _stopped.append(INTERRUPTED)
-    raise KeyboardInterrupt
+    _stopped.append(KeyboardInterrupt())
+    raise _stopped[-1]
 
 
 def _ignored(error: Any) -> None:
