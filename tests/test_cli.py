@@ -372,7 +372,8 @@ def app(**_):
 cli.app = app
 cli.run()
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, preexec_fn=heeding, timeout=60)
+    called = [sys.executable, "-c", program]
+    done = subprocess.run(called, capture_output=True, text=True, preexec_fn=heeding, timeout=60)
     assert (done.returncode, done.stdout) == ({"SIGINT": 130, "SIGTERM": 143}[name], "at the end")
 
 

@@ -34,7 +34,7 @@ from greygate.system import again
 INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, as shells give them
 AGAIN_S = 0.05  # so long a signal that was ignored waits: longer than a callback, shorter than one notices
 UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
-# What signals have raised: held to the end with its frames, since LLVM frees twice what one of them left half handed over
+# What signals have raised: held to the end with its frames, since llvmlite frees twice what one of them cut in two
 _stopped: list[KeyboardInterrupt | SystemExit] = []
 DEVELOPERS = "Developers"
 COMMANDS = {  # heading -> commands; those for developers are a group
