@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greygate.compiler.tables import LARGEST_BITS
+from greygate.compiler.tables import LARGEST_BITS, flat_from, integer_bits, make_table, output_fix
 from greygate.emulator.numbers import ACCUMULATOR_BITS, FRACTIONS, Fix, Overflow, Rounding, signed_width
 from greygate.emulator.program import Affine, Clamp, Lookup, Operation, Program, Signal, Terminal
 from greygate.emulator.tables import Symmetry, Table
@@ -24,6 +24,7 @@ from greygate.progress import once
 
 FLOAT32 = 24  # bits of its significand: integers up to 2^24, and their sums, are exact
 REAL = ACCUMULATOR_BITS - 2  # bits of a sum of such weights, beside its sign and a bit of rounding
+FINE = 16  # bits of a tanh or a sigmoid before a Quant whose scale is no power of two: 8 more than most have
 INPUT_BITS = range(8, 17)  # of an input that no Quant reads
 DOUBT = 2.0**-21  # error that a tanh or a sigmoid in float32 may have: eight units in the last place of 1
 
@@ -174,10 +175,7 @@ class _Declared:
     def _later(self, step: Step) -> Signal:
         """A tanh or a sigmoid: its argument now, its table when its format is known."""
         if self.real:
-            raise InputError(
-                f"{step.name}: its argument is on no grid of powers of two; give the Quants before and behind it such "
-                "scales, or compile the model as it was before it was quantized"
-            )
+            return self._interpolated(step)
         arg = self.known[self._exact(f"{step.name}.n", step.value)].signal
         if arg.fix.width > LARGEST_BITS + 1:
             raise InputError(
@@ -186,6 +184,18 @@ class _Declared:
             )
         self.curves[step.name] = step
         return arg
+
+    def _interpolated(self, step: Step) -> Signal:
+        """A table of a sum that is on no grid, finer than the code that a Quant makes of it."""
+        fix = output_fix(FINE)
+        whole = integer_bits(flat_from(step.kind, fix))
+        arg = Signal(f"{step.name}.n", step.value.size, Fix(whole + FINE + 1, FINE))
+        self._affine(arg, step.value, Rounding.HALF_EVEN)
+        table = make_table(step.kind, arg.fix, fix)
+        self.tables[table.name] = table
+        out = Signal(step.name, arg.size, fix)
+        self.operations.append(Lookup(out, arg.name, table.name))
+        return self._define(out, *table.extremes)
 
     def _curve(self, step: Step, form: Format) -> None:
         """A table with a point for every code, before the Quant limits it."""

@@ -128,7 +128,7 @@ def test_a_network_that_answers_otherwise_than_its_model_is_told_by_the_recordin
     made = imported(file, **_told(file))
     wrong = made.network.with_parameters({n: 0.9 * v for n, v in made.network.parameters().items()})
     said = str(beside.beside(made._replace(network=wrong), file, columns))
-    assert re.search(r"differ by at most 0\.\d+ of \w+ in 300 steps; that is more than rounding", said)
+    assert re.search(r"differ by at most 0\.\d+ of \w+ in 300 steps; that is more than rounding, in \d+ of them", said)
 
 
 def test_commands_say_how_far_the_network_is_from_onnxruntime(tmp_path):

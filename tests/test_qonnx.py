@@ -262,6 +262,18 @@ def test_scales_that_are_no_powers_of_two_give_every_code(tmp_path, capfd):
     assert "its scales are no powers of two: signals are codes" in capfd.readouterr().err
 
 
+@pytest.mark.parametrize("curve", ["Tanh", "Sigmoid"])
+def test_a_curve_between_such_scales_gives_every_code_that_is_no_near_tie(curve, tmp_path):
+    m = Model(3)
+    weights = (m.quant(m.constant(m.rng.normal(size=s) / 2), 0.0083, 8) for s in ((3, 16), (16, 2)))
+    h = m.node(curve, m.node("MatMul", m.quant("x", 0.021, 8), next(weights)))
+    path = m.saved(tmp_path / "model.onnx", m.node("MatMul", m.quant(h, 0.019, 7), next(weights)))
+    x = np.random.default_rng(9).normal(size=(N, 3)).astype(np.float32)
+    apart = np.abs(answered(path, x)[0] - executed(path, x)).max(1)
+    assert (apart > 1e-4).mean() < 0.02
+    assert apart.max() < 1.2 * 0.019 * 127 * 0.0083
+
+
 def static(folder, x, each, signed):
     """A network of three layers as onnxruntime's quantize_static leaves it, in QDQ format."""
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static

@@ -27,20 +27,22 @@ Run = Callable[[Mapping[str, np.ndarray]], Mapping[str, np.ndarray]]
 class Beside:
     """largest: difference of an output, by the largest that it is in that program. steps: that both have run.
 
-    why: why they have not; empty where they have.
+    beyond: steps in which that output differs by more than rounding. why: why they have not; empty where they have.
     """
 
     program: str
     steps: Count = 0
     output: str = ""
     largest: Figure = math.nan
+    beyond: Count = 0
     why: str = ""
 
     def __str__(self) -> str:
         if self.why:
             return f"{self.program} and the network are not compared over the recording: {self.why}"
-        far = "" if self.largest <= ROUNDED else "; that is more than rounding: compare the two before you go on"
-        steps = f"{self.steps} step{'s' * (self.steps > 1)}"
+        steps, far = f"{self.steps} step{'s' * (self.steps > 1)}", ""
+        if not self.largest <= ROUNDED:
+            far = f"; that is more than rounding, in {self.beyond} of them: compare the two before you go on"
         return f"{self.program} and the network differ by at most {self.largest:.2g} of {self.output} in {steps}{far}"
 
 
@@ -145,7 +147,8 @@ def _difference(made: Imported, inputs: Columns, answers: Columns, program: str,
     for t in made.outputs:
         wanted, mine = answers[t.name], np.column_stack([got[p.name] for p in t.ports])[-len(answers[t.name]) :]
         scale = np.abs(wanted).max() or 1.0
-        share = float(np.abs(mine - wanted).max() / scale)
+        shares = np.abs(mine - wanted).max(1) / scale
+        share, beyond = float(shares.max()), int((~(shares <= ROUNDED)).sum())
         if not share <= worst.largest:
-            worst = replace(worst, output=t.name, largest=share)
+            worst = replace(worst, output=t.name, largest=share, beyond=beyond)
     return worst
