@@ -13,7 +13,7 @@ import numpy as np
 from greygate.compiler.tables import LARGEST_BITS, flat_from, integer_bits, make_table, output_fix
 from greygate.emulator.numbers import ACCUMULATOR_BITS, FRACTIONS, Fix, Overflow, Rounding, signed_width
 from greygate.emulator.program import Affine, Clamp, Lookup, Operation, Program, Signal, Terminal
-from greygate.emulator.tables import Symmetry, Table
+from greygate.emulator.tables import Lines, Symmetry, Table
 from greygate.errors import InputError
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.arithmetic import xp
@@ -120,7 +120,7 @@ class _Declared:
         self.shown: dict[str, tuple[float, float]] = {}  # an output -> its scale and its offset
         self.known: dict[str, Bounded] = {}
         self.curves: dict[str, Step] = {}  # a tanh or a sigmoid, until the Quant that reads it gives its format
-        self.tables: dict[str, Table] = {}
+        self.tables: dict[str, Table | Lines] = {}
         self.operations: list[Operation] = []
 
     def program(self, period: float) -> Program:

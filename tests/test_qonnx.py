@@ -355,7 +355,6 @@ def behind(operation):
 
 REFUSED = {  # what is said -> the model's output
     "its scale is -0.3; give it a positive one": lambda m: m.quant("x", -0.3, 8),
-    "on no grid of powers of two": lambda m: m.quant(m.node("Tanh", m.quant("x", 0.3, 8)), 0.01, 8),
     "several scales for one signal": lambda m: m.quant("x", [[0.5, 0.25, 0.5]], 8),
     "a zero point that is not 0": lambda m: m.quant("x", 0.5, 8, zero=3.0),
     "rounding_mode 'CEIL'; the hardware has ROUND and FLOOR": lambda m: m.quant("x", 0.5, 8, mode="CEIL"),
