@@ -1,8 +1,8 @@
 """Whether what a run leaves goes with the machine's own signals: then it is no noise, however it is coloured.
 
 Where no noise is told, or another than is found, what a fit leaves was made equal to noise before. Noise of a sensor
-knows nothing of the machine. So functions of the predicted channels, of their rates and of the inputs are fitted to
-what is left on most of the recording, and judged on the rest. Chance is what they predict of the same errors, shifted
+knows nothing of the machine. So functions of the predicted channels, of their rates, of the inputs and of the terms that
+join them are fitted to what is left on most of the recording, and judged on the rest. Chance is what they predict of the same errors, shifted
 in time.
 """
 
@@ -12,10 +12,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from greygate.mismatch.fit import Fit
-from greygate.mismatch.model import TINY
-from greygate.mismatch.rig import Rig
+from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.runs import along
-from greygate.plants.recording import Recording
+from greygate.plants.expressions import names
 
 FOLDS = 6  # contiguous parts of the recording, held out in turn
 SHIFTS = 99  # of the errors in time: with none of them 100, so that one in a hundred can be told
@@ -35,8 +34,9 @@ def dependent(fit: Fit) -> str:
     if not np.isfinite(error).all():
         return ""
     size, pieces = max(len(error) // POINTS, 1), model.pieces
-    signals = _features(model.target - error, model.recording, model.rig, pieces)
-    features = np.column_stack([_mean(f, size, pieces) for f in signals])
+    signals = [*(model.target - error).T, *(model.recording[name] for name in model.rig.inputs), *_joining(model, fit)]
+    features = _features(signals, pieces)
+    features = np.column_stack([_mean(f, size, pieces) for f in features])
     features = features - features.mean(axis=0)
     features = features / (features.std(axis=0) + TINY)
     predict = _predictor(features)
@@ -60,10 +60,19 @@ def _mean(signal: np.ndarray, size: int, pieces: Sequence[slice]) -> np.ndarray:
     return along(lambda part: part[: len(part) // size * size].reshape(-1, size).mean(axis=1), pieces, signal)
 
 
-def _features(predicted: np.ndarray, recording: Recording, rig: Rig, pieces: Sequence[slice]) -> Iterator[np.ndarray]:
-    """Functions of the signals (samples,): powers, signs, and what they were a while ago."""
-    size = max(len(predicted) // POINTS, 1)
-    for signal in [*predicted.T, *(recording[name] for name in rig.inputs)]:
+def _joining(model: Model, fit: Fit) -> Iterator[np.ndarray]:
+    """The terms (samples,) of the plant in which several of its signals meet: where one has a limit, no signal does."""
+    plant, scope = model.rig.plant, model.scope({**model.values, **fit.values})
+    for equation in plant.equations.values():
+        for text in equation.terms.values():
+            if len(names([text]) - {*plant.parameters}) > 1:
+                yield np.broadcast_to(scope.evaluate(text), model.recording.samples)
+
+
+def _features(signals: Sequence[np.ndarray], pieces: Sequence[slice]) -> Iterator[np.ndarray]:
+    """Functions of signals (samples,): powers, signs, and what they were a while ago."""
+    size = max(len(signals[0]) // POINTS, 1)
+    for signal in signals:
         away = signal - signal.mean()
         away = away / (away.std() + TINY)
         rate = along(np.gradient, pieces, away)

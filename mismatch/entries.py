@@ -70,6 +70,7 @@ class Effect:
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     states: Mapping[str, State] = field(default_factory=dict)
     equations_of: Mapping[str, Equation] = field(default_factory=dict)
+    storages: Mapping[str, str] = field(default_factory=dict)
     filters: Mapping[str, str] = field(default_factory=dict)
     set: Mapping[str, float] = field(default_factory=dict)
     wave: Mapping[str, tuple[str, str]] = field(default_factory=dict)
@@ -120,7 +121,7 @@ class Effect:
 
     def uses(self, symbol: str) -> bool:
         """Whether a term that it brings along names `symbol`."""
-        texts = [*self.terms.values(), *(text for d in self.definitions.values() for text in d.terms.values())]
+        texts = [*self.terms.values(), *self.storages.values(), *(text for d in self.definitions.values() for text in d.terms.values())]
         return symbol in names((*texts, *(text for e in self.equations_of.values() for text in e.terms.values())))
 
     @cached_property
@@ -179,6 +180,7 @@ _ENTRIES: dict[str, Kind] = {
     "definitions": named(_defined, check_name),
     "states": named(check_state, check_name),
     "equations_of": named(_balance, check_name),
+    "storages": named(check_expression, check_name),
     "filters": named(line, check_name),
     "set": named(number, check_name),
     "wave": named(_texts, check_name),

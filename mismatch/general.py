@@ -294,5 +294,6 @@ def _renamed(entry: dict, taken: Collection[str]) -> dict:
             name: {"state": new.get(e["state"], e["state"]), "terms": {t: text(v) for t, v in e["terms"].items()}}
             for name, e in entry.get("equations_of", {}).items()
         },
+        "storages": {where: text(old) for where, old in entry.get("storages", {}).items()},
         "wave": {name: [new.get(p, p) for p in pair] for name, pair in entry.get("wave", {}).items()},
     }

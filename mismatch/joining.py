@@ -97,6 +97,11 @@ class _Joining:
             if term in terms:
                 self.fail(effect, f"{where}.{term}: plant {self.plant.name} has this term too; rename one")
             table[where] = replace(table[where], terms={**terms, term: effect.lazily(text)})
+        for where, text in effect.storages.items():
+            if where not in self.equations:
+                self.fail(effect, f"storages.{where}: {self.plant.name} has no such balance")
+            equation = self.equations[where]
+            self.equations[where] = replace(equation, storage=f"({equation.storage}) + {effect.lazily(text)}")
         for symbol in effect.set:
             if symbol not in self.parameters:
                 self.fail(effect, f"set {symbol}: plant {self.plant.name} has no such parameter")

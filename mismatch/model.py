@@ -451,20 +451,20 @@ class Model:
         rows = self._parts * self.recording.samples
         return np.ascontiguousarray(np.stack(columns, axis=1)) if columns else np.empty((rows, 0))
 
+    def scope(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> Values:
+        """Every signal of a run (samples,), and what expressions make of them."""
+        states, signals = self.states(values, shifts)
+        scope = Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
+        scope.update(values)
+        return scope
+
     @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
     def predict(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> np.ndarray:
         """Predicted channels (samples, predict), in the order of `rig.predict`."""
-        states, signals = self.states(values, shifts)
-        scope = None
+        scope = self.scope(values, shifts)
         columns = []
         for channel in self.rig.predict:
-            if channel in self.plant.states:
-                column = states[:, list(self.plant.states).index(channel)]
-            else:
-                if scope is None:
-                    scope = Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
-                    scope.update(values)
-                column = np.broadcast_to(scope[channel], len(states))
+            column = np.broadcast_to(scope[channel], self.recording.samples)
             for kind, given in self._acting(SENSOR + channel, values):
                 column = of.SENSOR[kind](column, *given, self.rig.dt)
             if any(True for _ in self._shown(channel, values)):
@@ -482,10 +482,7 @@ class Model:
             return None
         if not all(path.partition(".")[0] in places for path in effect.terms):
             return None
-        states, signals = self.states({**self.values, **values})
-        scope = Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
-        scope.update({**self.values, **values})
-
+        scope = self.scope({**self.values, **values})
         parts = [
             (self.rig.predict.index(places[path.partition(".")[0]]), *part)
             for path, expression in effect.terms.items()

@@ -39,7 +39,9 @@ def places(rig: Rig) -> dict[str, list[Place]]:
         "x": [place for place in moving if "x" in place],
         "angle": [place for place in moving if "x" in place and plant.unit(place["x"]) in ANGLES],
         "drive": (driven := [p | {"drive": drive} for p in moving if (drive := _drive(rig, p["motion"]))]),
+        "ruled": [place for place in driven if _asks(plant, place["drive"]) & {*plant.states}],
         "geared": [place for place in driven if place.get("x") in rig.predict and _known(plant, place)],
+        "inert": [p | {"storage": s} for p in moving if (s := _storage(plant, p["motion"]))],
         "s": stored,
         "heat": [place for place in stored if plant.unit(place["s"]) == "K"],
         "load": _elements(plant, LOADS),
@@ -168,14 +170,23 @@ def _origin(plant: Plant, channel: str) -> bool:
 def _drive(rig: Rig, where: str) -> str:
     """The terms of a sum that inputs bring, themselves or through definitions, as one expression."""
     terms, driven = _sum(rig.plant, where).terms.values(), _driven(rig)
-    return " + ".join(f"({text})" for text in terms if driven & names([text]))
+    return "+".join(f"({text.replace(' ', '')})" for text in terms if driven & names([text]))
+
+
+def _storage(plant: Plant, where: str) -> str:
+    """What a balance multiplies the rate of its state with; empty where a simulator from outside does."""
+    return "" if plant.outside or where not in plant.equations else plant.equations[where].storage
 
 
 def _known(plant: Plant, place: Place) -> bool:
     """Whether a drive is known where its position and the inputs are."""
-    used = names([place["drive"]])
-    used |= names(text for d in plant.needed(used) for text in d.terms.values())
-    return not used & {*plant.states} - {place["x"]}
+    return not _asks(plant, place["drive"]) & {*plant.states} - {place["x"]}
+
+
+def _asks(plant: Plant, text: str) -> set[str]:
+    """The symbols that an expression names, and those that its definitions name."""
+    used = {*names([text])}
+    return used | names(t for d in plant.needed(used) for t in d.terms.values())
 
 
 def _driven(rig: Rig) -> set[str]:
