@@ -1,9 +1,9 @@
 """Whether what a run leaves goes with the machine's own signals: then it is no noise, however it is coloured.
 
 Where no noise is told, or another than is found, what a fit leaves was made equal to noise before. Noise of a sensor
-knows nothing of the machine. So functions of the predicted channels, of their rates, of the inputs and of the terms that
-join them are fitted to what is left on most of the recording, and judged on the rest. Chance is what they predict of the same errors, shifted
-in time.
+knows nothing of the machine. So functions of the predicted channels, of their rates, of the inputs and of the terms in
+which they meet are fitted to what is left on most of the recording, and judged on the rest. Chance is what they predict
+of the same errors, shifted in time.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -35,8 +35,7 @@ def dependent(fit: Fit) -> str:
         return ""
     size, pieces = max(len(error) // POINTS, 1), model.pieces
     signals = [*(model.target - error).T, *(model.recording[name] for name in model.rig.inputs), *_joining(model, fit)]
-    features = _features(signals, pieces)
-    features = np.column_stack([_mean(f, size, pieces) for f in features])
+    features = np.column_stack([_mean(f, size, pieces) for f in _features(signals, pieces)])
     features = features - features.mean(axis=0)
     features = features / (features.std(axis=0) + TINY)
     predict = _predictor(features)

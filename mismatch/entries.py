@@ -121,8 +121,9 @@ class Effect:
 
     def uses(self, symbol: str) -> bool:
         """Whether a term that it brings along names `symbol`."""
-        texts = [*self.terms.values(), *self.storages.values(), *(text for d in self.definitions.values() for text in d.terms.values())]
-        return symbol in names((*texts, *(text for e in self.equations_of.values() for text in e.terms.values())))
+        brought: list[Definition | Equation] = [*self.definitions.values(), *self.equations_of.values()]
+        texts = (text for place in brought for text in place.terms.values())
+        return symbol in names((*self.terms.values(), *self.storages.values(), *texts))
 
     @cached_property
     def strengths(self) -> tuple[Free, ...]:

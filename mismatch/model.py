@@ -491,7 +491,7 @@ class Model:
 
         def give(own: Mapping[str, float]) -> np.ndarray:
             scope.update(own)
-            out = np.zeros((len(states), len(self.rig.predict)))
+            out = np.zeros((self.recording.samples, len(self.rig.predict)))
             for channel, factor, expression in parts:
                 if own.get(factor) != 0.0:
                     out[:, channel] += scope.evaluate(expression)

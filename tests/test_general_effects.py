@@ -186,7 +186,7 @@ def test_a_term_that_the_data_sheet_leaves_uncertain_is_not_offered_again(rigs):
 def test_a_load_that_inputs_bring_through_a_definition_makes_friction(rigs):
     rig = rigs["motor"]
     (term,) = table.general(rig, recording(rig))["load_friction"].terms.values()
-    assert "abs((k * i))" in term  # i is defined by the voltage
+    assert "abs((k*i))" in term  # i is defined by the voltage
 
 
 def test_what_a_mass_matrix_couples_are_not_two_bodies(rigs):
