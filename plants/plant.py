@@ -232,6 +232,12 @@ class Plant:
             plant = plant._with_terms(where, kept, {})
         return plant
 
+    def with_storage(self, where: str, text: str) -> "Plant":
+        """The plant with an expression added to a balance's storage."""
+        equation = self.equations[where]
+        more = replace(equation, storage=f"({equation.storage}) + {text}")
+        return replace(self, equations={**self.equations, where: more})
+
     def with_term(
         self, where: str, term: str, expression: str, parameters: Mapping[str, Parameter] | None = None
     ) -> "Plant":

@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from small_plants import write
 
+from greygate.identify.expert.diagnosed import _with
 from greygate.mismatch import fit
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnose import diagnose
@@ -20,6 +21,7 @@ from greygate.mismatch.seen import Seen
 from greygate.mismatch.stretches import pieces
 from greygate.mismatch.verdict import Verdict
 from greygate.plants import Plant, prms, simulate
+from greygate.plants.plant import Values
 
 DRIVE = """step = 1e-3
 outputs = ["q_m", "q_l"]
@@ -196,6 +198,13 @@ def test_it_is_named_with_its_size_where_no_noise_is_told(of, seed, tmp_path):
     assert [effect["id"] for effect in found["effects"]] == [name], found["verdict"]
     assert found["effects"][0]["parameters"][symbol]["value"] == pytest.approx(size, rel=0.12)
     assert found["verdict"] in (Verdict.MISSING_PHYSICS, Verdict.PARTLY_EXPLAINED)
+
+
+def test_the_plant_of_a_network_moves_no_more_than_what_is_before_the_shaft(tmp_path):
+    rig = rig_of(tmp_path / "rig", yielding)
+    effect = known(rig, rig.to_explain())["compliance"]
+    plant = _with(rig.plant, effect, {f.symbol: f.typical for f in effect.free} | {"behind_w_share": 0.4})
+    assert Values(plant, {}).evaluate(plant.equations["motion"].storage) == pytest.approx(0.6 * 2.3e-3)
 
 
 def test_what_no_effect_explains_is_not_consistent_where_it_goes_with_a_term_of_the_plant(tmp_path):

@@ -144,7 +144,7 @@ def _joined(rig: Rig, model: Model, values: Mapping[str, float], diagnosis: Mapp
 
 
 def _with(plant: Plant, effect: Effect, values: Mapping[str, float]) -> Plant:
-    """The plant with an effect's parameters, states, definitions and terms."""
+    """The plant with an effect's parameters, states, definitions, storages and terms."""
     brought = {} if effect.frees else {f.symbol: Parameter(values[f.symbol], f.unit) for f in effect.free}
     plant = replace(
         plant,
@@ -153,6 +153,8 @@ def _with(plant: Plant, effect: Effect, values: Mapping[str, float]) -> Plant:
         equations={**plant.equations, **effect.equations_of},
         definitions={**effect.definitions, **plant.definitions},
     )
+    for where, text in effect.storages.items():
+        plant = plant.with_storage(where, text)
     for path, text in effect.terms.items():
         where, _, term = path.partition(".")
         if not where.startswith(SENSOR):

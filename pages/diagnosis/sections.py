@@ -433,6 +433,7 @@ def adds(result: Diagnosis, entry: Mapping) -> list[str]:
         return []
     own = [f.reported for f in effect.free if outside and f.symbol in outside.parameters]
     added = [f"{path.partition('.')[0]}: + ({text})" for path, text in effect.terms.items()]
+    added += [f"{where}: storage + ({text})" for where, text in effect.storages.items()]
     return [*added, *([f"the model's own {', '.join(own)}"] if own else [])]
 
 
