@@ -14,6 +14,7 @@ from markupsafe import Markup
 from greygate.pages.units import number
 
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 8, 34  # margins of a chart, px
+ASIDE, DIGIT = 19, 6.5  # px: of the name of an axis that stands on its side, and of a digit of `.tick`
 APART = 1e-9  # of a limit: limits of an axis that are nearer to each other are moved apart
 BROAD, SHRUNK = 500, 0.8  # a chart that is wider [px] is not shrunk further, as it could not be read, but scrolled
 ROW = 19  # height of one signal in `formats`, px
@@ -96,33 +97,40 @@ def chart(
     levels: Sequence[tuple[float, str]] = (),
     marks: Sequence[float] = (),
     x_ticks: Sequence[float] = (),
+    inside: str = "",
+    left: float = LEFT,
     width: int = 380,
     height: int = 200,
 ) -> Markup:
     """One plot as inline SVG. x, y: axis labels (no x: no numbers either, for a panel above another).
 
     levels: horizontal lines (value, label). marks: vertical lines. x_ticks: where numbers stand; round values if empty.
+    inside: SVG within the axes, placed in per cent of them. left: px of the margin, more where figures need it.
     """
     bottom = BOTTOM if x else 8
-    inner_w, inner_h = width - LEFT - RIGHT, height - TOP - bottom
+    inner_h = height - TOP - bottom
     every_x = [v for line in lines for v in line.x if v is not None]
     every_y = [v for line in lines for v in line.y] + [v for v, _ in levels]
-    sx = Scale(*_apart(x_limits or (every_x and (min(every_x), max(every_x)))), inner_w, x_log)
     sy = Scale(*_apart(y_limits or span(every_y, y_log)), inner_h, y_log)
+    y_ticks = sy.ticks(min(34, inner_h / 3))
+    y_labels = _labels(y_ticks, y_log)
+    left = max(left, ASIDE + DIGIT * max(map(len, y_labels), default=0))
+    inner_w = width - left - RIGHT
+    sx = Scale(*_apart(x_limits or (every_x and (min(every_x), max(every_x)))), inner_w, x_log)
     parts = [_opened(width, height, f"{y} over {x}")]
-    x_ticks, y_ticks = x_ticks or sx.ticks(), sy.ticks(min(34, inner_h / 3))
-    for t, label in zip(y_ticks, _labels(y_ticks, y_log), strict=True):
+    x_ticks = x_ticks or sx.ticks()
+    for t, label in zip(y_ticks, y_labels, strict=True):
         at = TOP + inner_h - sy(t)
-        parts.append(f'<path class="grid" d="M{LEFT} {at:.1f}h{inner_w}"/>')
-        parts.append(f'<text class="tick" x="{LEFT - 5}" y="{at + 3.5:.1f}" text-anchor="end">{label}</text>')
+        parts.append(f'<path class="grid" d="M{left:g} {at:.1f}h{inner_w:g}"/>')
+        parts.append(f'<text class="tick" x="{left - 5:g}" y="{at + 3.5:.1f}" text-anchor="end">{label}</text>')
     for t, label in zip(x_ticks, _labels(x_ticks, x_log), strict=True):
-        at = LEFT + sx(t)
+        at = left + sx(t)
         parts.append(f'<path class="grid" d="M{at:.1f} {TOP}v{inner_h}"/>')
         if x:
             parts.append(f'<text class="tick" x="{at:.1f}" y="{height - 20}" text-anchor="middle">{label}</text>')
-    parts.append(f'<svg x="{LEFT}" y="{TOP}" width="{inner_w}" height="{inner_h}">')
+    parts.append(f'<svg x="{left:g}" y="{TOP}" width="{inner_w:g}" height="{inner_h}">{inside}')
     parts += [f'<path class="mark" d="M{sx(m):.1f} 0v{inner_h}"/>' for m in marks]
-    parts += [f'<path class="level" d="M0 {inner_h - sy(v):.1f}h{inner_w}"/>' for v, _ in levels]
+    parts += [f'<path class="level" d="M0 {inner_h - sy(v):.1f}h{inner_w:g}"/>' for v, _ in levels]
     parts += [f'<path class="line {line.kind}" d="{_path(line, sx, sy, inner_h)}"/>' for line in lines]
     parts.append("</svg>")
     for v, label in levels:
@@ -133,7 +141,7 @@ def chart(
     middle = TOP + inner_h / 2
     parts.append(f'<text class="label" transform="translate(11 {middle:.0f}) rotate(-90)">{escape(y)}</text>')
     if x:
-        parts.append(f'<text class="label" x="{LEFT + inner_w / 2:.0f}" y="{height - 4}">{escape(x)}</text>')
+        parts.append(f'<text class="label" x="{left + inner_w / 2:.0f}" y="{height - 4}">{escape(x)}</text>')
     return Markup("".join(parts) + "</svg>")
 
 
@@ -182,7 +190,8 @@ def _labels(ticks: Sequence[float], log: bool) -> list[str]:
         return [f"{t:g}" if 5e-4 < t < 2e4 else number(t, 1).removeprefix("1·") for t in ticks]
     step = ticks[1] - ticks[0] if len(ticks) > 1 else abs(ticks[0]) or 1.0
     if step < 1e-4 or max(map(abs, ticks)) >= 1e6:
-        return [number(t if abs(t) > step / 2 else 0.0, 2) for t in ticks]
+        digits = 2 + max(0, math.floor(math.log10(max(map(abs, ticks)) / step)))
+        return [number(t if abs(t) > step / 2 else 0.0, digits) for t in ticks]
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     return [f"{t if abs(t) > step / 2 else 0.0:.{decimals}f}".replace("-", "−") for t in ticks]
 

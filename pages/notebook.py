@@ -21,7 +21,7 @@ STEPS = 200  # of a step response
 WIDTH, HEIGHT = 560, 210  # px of a picture
 KINDS = ("model", "fixed", "cost")  # of curves, in the order of the outputs
 DRAWN = 1000  # samples of a picture, from the first
-WORDS, WORD = 40, 100  # steps of a waveform, and px of a port in it
+WORDS, WORD, ASIDE = 40, 100, 90  # steps of a waveform, px of a port in it, and px left of that for its figures
 ROW, ABOVE, FACTS = 31, 90, 170  # px of a table's row, of what stands around it, of a headline
 Rows = Sequence[Mapping[str, object]]
 
@@ -109,7 +109,7 @@ def _waveform(found: Project, record: Record, answer: Emulation) -> Markup:
         words = p.codes(values[p.name][:WORDS]).reshape(-1, p.signal.size)[:, 0]
         steps = np.repeat(np.arange(len(words) + 1), 2)[1:-1]
         line = Curve(steps, np.repeat(words, 2), "model" if p in inputs else "fixed")
-        drawn.append(chart([line], x="step", y=p.name, width=WIDTH, height=WORD))
+        drawn.append(chart([line], x="step", y=p.name, left=ASIDE, width=WIDTH, height=WORD))
     return Markup("").join(drawn)
 
 

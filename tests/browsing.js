@@ -1,6 +1,6 @@
 // What tests/browsing.py runs in a page.
 const browsing = {
-faults: ({legible, contrast}) => {
+faults: ({legible, contrast, touch}) => {
   const faults = new Set(), ink = document.createElement("canvas").getContext("2d", {willReadFrequently: true});
   const named = e => `${e.tagName.toLowerCase()} ${e.getAttribute("class") || ""} "${e.textContent.trim().slice(0, 40)}"`;
   const rgba = colour => { ink.clearRect(0, 0, 1, 1); ink.fillStyle = colour; ink.fillRect(0, 0, 1, 1); return [...ink.getImageData(0, 0, 1, 1).data]; };
@@ -22,6 +22,12 @@ faults: ({legible, contrast}) => {
       const seen = [style.stroke, style.fill].filter(c => c !== "none").map(c => apart(rgba(c), behind(e)));
       if (!(Math.max(...seen) >= contrast.curve)) faults.add(`a curve of class "${e.getAttribute("class")}" cannot be seen`);
     }
+  }
+  for (const drawing of document.querySelectorAll("svg")) {
+    const written = [...drawing.querySelectorAll("text")].filter(e => e.checkVisibility() && e.textContent.trim()).map(e => [e, e.getBoundingClientRect()]);
+    const over = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > touch && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > touch;
+    for (const [k, [e, a]] of written.entries()) for (const [other, b] of written.slice(k + 1))
+      if (over(a, b)) faults.add(`${named(e)} stands over ${named(other)}`);
   }
   return [...faults];
 },

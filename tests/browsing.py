@@ -11,6 +11,7 @@ THEMES = ("light", "dark")
 PAPER = (794, 1123)  # px of A4
 LEGIBLE = {"screen": 8, "print": 6}  # px of the smallest text of a picture
 CONTRAST = {"text": 4.5, "curve": 1.5}  # to what is behind it; 4.5 is level AA of WCAG 2 for text
+TOUCH = 2  # px by which the boxes of two texts may lap: a box is higher than its letters
 SCRIPT = Path(__file__).with_suffix(".js").read_text()
 SETTLED = 150  # ms after which a drawing that was told to change has changed
 
@@ -76,7 +77,7 @@ def faults(browser, page: Path) -> dict[str, list[str]]:
 
 
 def looked(tab, medium: str) -> list[str]:
-    return asked(tab, "faults", {"legible": LEGIBLE[medium], "contrast": CONTRAST})
+    return asked(tab, "faults", {"legible": LEGIBLE[medium], "contrast": CONTRAST, "touch": TOUCH})
 
 
 def asked(tab, question: str, about: dict | None = None):

@@ -92,6 +92,7 @@ WRONG = {
     "contrast 1.0": "<p style='color:white'>white on white</p>",
     'class "line gone" cannot be seen': "<svg fill=none><path class='line gone' d='M0 0H1H2H3H4H5H6H7H8H9'/></svg>",
     "1.0 px is the size of": "<svg width=10 viewBox='0 0 100 100'><text font-size=10 y=50>tiny</text></svg>",
+    "stands over": "<svg width=99><text y=20>one</text><text y=22>two</text></svg>",
     "console error: bad": "<script>console.error('bad')</script>",
     "error: gone is not defined": "<script>gone()</script>",
     "http://127.0.0.1:9/x.png": "<img src='http://127.0.0.1:9/x.png' alt=x>",

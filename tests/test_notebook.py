@@ -2,6 +2,7 @@
 
 import ast
 import html
+import re
 
 import pytest
 from networks import delay_line
@@ -9,7 +10,7 @@ from test_cli import recording
 
 from greygate import Network, Project, children, diagnose, load_rig
 from greygate.machines.samples import write
-from greygate.pages import notebook
+from greygate.pages import figures, notebook
 
 
 def page(shown: str) -> str:
@@ -43,6 +44,14 @@ def test_a_diagnosis_shows_its_verdict_and_its_errors(tmp_path):
     assert "spring" in found
     assert "140.3 mm" in found
     assert "<script" not in found
+
+
+def test_figures_of_an_axis_are_told_apart_and_stand_beside_its_name():
+    large = [270_000_000.0, 271_000_000.0, 271_500_000.0]
+    drawn = figures.chart([figures.Curve(range(3), large, "model")], x="step", y="p_a")
+    places = re.findall(r'class="tick" x="([\d.]+)" y="[^"]+" text-anchor="end">([^<]+)', drawn)
+    assert len({label for _, label in places}) == len(places) > 1
+    assert all(float(x) - figures.DIGIT * len(label) >= 14 for x, label in places)
 
 
 def test_a_name_is_no_html():

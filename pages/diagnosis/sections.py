@@ -323,26 +323,25 @@ def heat(residual: Residual, channel: str, pair: tuple[str, str], reach: float, 
     columns, rows = (len(e) - 1 for e in edges)
     signals = [residual.variables[name] for name in pair]
     labels = [display_unit(residual.units[n], float(np.abs(s).max())) for n, s in zip(pair, signals, strict=True)]
-    frame = figures.chart(
-        [Curve([e * labels[0][0] for e in edges[0][[0, -1]]], [e * labels[1][0] for e in edges[1][[0, -1]]], "none")],
-        x=labelled(pair[0], labels[0][1]),
-        y=labelled(pair[1], labels[1][1]),
-        y_limits=tuple(e * labels[1][0] for e in edges[1][[0, -1]]),
-        width=width,
-        height=190,
-    )
-    inner = (width - figures.LEFT - figures.RIGHT, 190 - figures.TOP - figures.BOTTOM)
-    wide, tall = inner[0] / columns, inner[1] / rows
+    wide, tall = 100 / columns, 100 / rows
     parts = []
     for value, k in zip(mean, at, strict=True):
         i, j = divmod(int(k), rows)
         strength = min(abs(value) / reach, 1.0)
         parts.append(
-            f'<rect class="{"above" if value > 0 else "below"}" x="{figures.LEFT + i * wide:.1f}" '
-            f'y="{figures.TOP + inner[1] - (j + 1) * tall:.1f}" width="{wide + 0.2:.1f}" height="{tall + 0.2:.1f}" '
+            f'<rect class="{"above" if value > 0 else "below"}" x="{i * wide:.2f}%" '
+            f'y="{100 - (j + 1) * tall:.2f}%" width="{1.02 * wide:.2f}%" height="{1.02 * tall:.2f}%" '
             f'fill-opacity="{0.1 + 0.9 * strength:.2f}"/>'
         )
-    return Markup(str(frame).removesuffix("</svg>") + "".join(parts) + "</svg>")
+    return figures.chart(
+        [Curve([e * labels[0][0] for e in edges[0][[0, -1]]], [e * labels[1][0] for e in edges[1][[0, -1]]], "none")],
+        x=labelled(pair[0], labels[0][1]),
+        y=labelled(pair[1], labels[1][1]),
+        y_limits=tuple(e * labels[1][0] for e in edges[1][[0, -1]]),
+        inside="".join(parts),
+        width=width,
+        height=190,
+    )
 
 
 LADDER = 12  # hypotheses drawn

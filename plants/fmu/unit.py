@@ -115,20 +115,19 @@ class _Process:
         )
         self._to: BinaryIO = cast(Any, self._process.stdin).buffer
         self._from: BinaryIO = cast(Any, self._process.stdout).buffer
-        self.living = True
+        self.living, self.expired = True, False
 
     def ask(self, said: Mapping[str, Any], arrays: Arrays, most: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Its answer within `most` s. Raises Died, and InputError where the FMU refuses."""
-        late = Timer(most, children.kill, [self._process])
+        late = Timer(most, self._expire)
         late.daemon = True
         late.start()
-        began = time.monotonic()
         try:
             send(self._to, said, arrays)
             told, found = receive(self._from)
-        except (OSError, EOFError, ValueError) as error:
+        except (OSError, EOFError, ValueError):
             late.cancel()
-            raise self._dead(error, most, time.monotonic() - began) from None
+            raise self._dead(most) from None
         except BaseException:
             self._end()
             raise
@@ -143,15 +142,19 @@ class _Process:
         self.living = False
         self._stack.close()
 
-    def _dead(self, error: Exception, most: float, waited: float) -> Died:
+    def _expire(self) -> None:
+        self.expired = True
+        children.kill(self._process)
+
+    def _dead(self, most: float) -> Died:
         code = None
-        if waited < most:
+        if not self.expired:
             try:
                 code = self._process.wait(INSTANT)
             except children.TimeoutExpired:
                 code = None
         self._end()
-        if waited >= most:
+        if self.expired:
             return Died(f"does not answer within {most:g} s")
         return Died(f"crashes (signal {-code})" if code and code < 0 else f"ends its process (exit code {code})")
 
