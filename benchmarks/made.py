@@ -17,7 +17,6 @@ code it measures. The pages are written from the results (`make pages`).
 
 import hashlib
 import json
-import os
 import platform
 import shlex
 import subprocess
@@ -25,6 +24,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
+
+from greygate.system import cores
 
 TAKES = "seconds"
 ROOT = Path(__file__).parents[1]
@@ -88,7 +89,7 @@ def machine() -> str:
     lines = told.read_text(encoding="utf-8").splitlines() if told.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     processor = (names or [platform.processor() or platform.machine()])[0]
-    return f"{processor}, {len(os.sched_getaffinity(0))} cores"
+    return f"{processor}, {cores()} cores"
 
 
 def git(*arguments: str) -> str:
