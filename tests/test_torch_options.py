@@ -114,6 +114,38 @@ def test_a_module_that_takes_a_batch_takes_a_batch_of_one_sample():
     assert np.abs(answered(module, x, 1) - wanted).max() < 1e-14
 
 
+def test_a_sample_that_a_module_takes_for_a_batch_is_given_as_a_batch_of_one():
+    module = On(lambda s, x: torch.tanh(s.first(x) + torch.zeros(x.shape[0], 3)), first=nn.Linear(2, 3)).double()
+    x = np.random.default_rng(0).normal(size=(5, 2))
+    assert np.abs(answered(module, x, 3) - module(torch.tensor(x)).detach().numpy()).max() < 1e-14
+
+
+def test_a_policy_gives_what_its_distribution_is_of():
+    def policy(s, x):
+        of = torch.distributions.Normal(s.mean(x), s.deviation(x).clamp(-20, 2).exp())
+        return torch.cat([torch.tanh(of.mean), of.stddev, torch.distributions.Categorical(logits=s.mean(x)).probs], -1)
+
+    module = On(policy, mean=nn.Linear(2, 2), deviation=nn.Linear(2, 2)).double()
+    x = np.random.default_rng(0).normal(size=(5, 2))
+    checked = torch.distributions.Distribution._validate_args
+    assert np.abs(answered(module, x, 6) - module(torch.tensor(x)).detach().numpy()).max() < 1e-12
+    assert torch.distributions.Distribution._validate_args is checked
+
+
+def test_a_module_that_takes_a_derivative_is_told_so_and_torch_prints_no_graph(capfd):
+    def energy(s, x):
+        with torch.enable_grad():
+            x = x.requires_grad_(True)
+            return torch.autograd.grad(torch.tanh(s.first(x)).sum(), x)[0]
+
+    for how in (energy, lambda s, x: torch.func.grad(lambda y: torch.tanh(s.first(y)).sum())(x)):
+        with pytest.raises(InputError, match="derivative"):
+            from_torch(On(how, first=nn.Linear(2, 3)), ["a", "b"], ["y", "z"])
+    with pytest.raises(InputError, match="branches on data"):
+        from_torch(On(lambda s, x: x if x.sum() > 0 else -x), ["a", "b"], ["y", "z"])
+    assert "def forward" not in capfd.readouterr().err
+
+
 def test_a_weight_that_a_hook_makes_is_made():
     with pytest.warns(FutureWarning):
         module = nn.utils.weight_norm(nn.Linear(2, 3))

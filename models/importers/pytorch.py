@@ -10,7 +10,9 @@ signals is torch's own, asked for each column of their weights; what reads no si
 network and a copy of the module take the same steps, and must answer alike.
 """
 
+import contextlib
 import copy
+import io
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -158,11 +160,11 @@ class _Walk:
         own = copy.deepcopy(trial.module)
         given = (trial.x.clone(), *trial.given(trial.starts))
         try:
-            self.program: Any = torch.export.export(own, given, strict=False).run_decompositions({})
+            with contextlib.redirect_stderr(io.StringIO()):  # of what it does not take it prints the whole graph
+                self.program: Any = torch.export.export(own, given, strict=False).run_decompositions({})
         except Exception as error:  # whatever cannot be traced
             said = first_line(error)
-            branches = re.search(r"data-dependent|DataDependent|\.item\(", said)
-            why = f"; {BRANCH}" if branches else f", which keeps a tensor of it; {STATES}" if "fake" in said else ""
+            why = next((why for pattern, why in UNTRACED.items() if re.search(pattern, said)), "")
             raise InputError(f"torch.export does not take a step of {trial.kind}{why}: {said}") from None
 
     def walk(self) -> None:
@@ -343,7 +345,14 @@ CARRIED = (
     "a network carries sums, products with constants and of two signals, slices, joins, tanh, sigmoid, relu, clamp, "
     "abs and recurrent cells of them; "
 )
-BRANCH = "forward branches on data or reads a number out of a tensor: write torch.where, torch.clamp or torch.relu"
+DERIVED = "a derivative (torch.autograd, torch.func) is written out, layer by layer"
+UNTRACED = {
+    r"data-dependent|DataDependent|\.item\(": "; forward branches on data or reads a number out of a tensor: write "
+    "torch.where, torch.clamp or torch.relu",
+    "functorch": f"; {DERIVED}",
+    "fake": f", which keeps a tensor of it, or takes a derivative of it; {STATES}; {DERIVED}",
+}
+"""What torch.export says of what it does not take -> what to write."""
 CHANGED = ("BUFFER_MUTATION", "PARAMETER_MUTATION")
 PLACED = {"max", "min", "sort", "topk", "median"}  # whose places are left out
 PLACES = {"argmax", "argmin"}  # whose whole numbers are a result

@@ -37,15 +37,15 @@ def undisturbed(kind: "torch.dtype") -> Iterator[None]:
         def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
             if func is torch.Tensor.float:
                 func = torch.Tensor.double
-            wide = {torch.float32: torch.float64}
-            given = [wide.get(a, a) if isinstance(a, torch.dtype) else a for a in args]
-            named = {k: wide.get(a, a) if isinstance(a, torch.dtype) else a for k, a in (kwargs or {}).items()}
-            return func(*given, **named)
+            return func(*(_wide(a) for a in args), **{k: _wide(a) for k, a in (kwargs or {}).items()})
 
-    before, drawn = torch.get_default_dtype(), (random.getstate(), np.random.get_state())  # noqa: NPY002, it may be used
+    distribution = torch.distributions.Distribution
+    before, checked = torch.get_default_dtype(), distribution._validate_args
+    drawn = (random.getstate(), np.random.get_state())  # noqa: NPY002, it may be used
     with torch.random.fork_rng(devices=[]), torch.no_grad(), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")  # of torch, about its own recurrent modules
         torch.set_default_dtype(kind)
+        distribution.set_default_validate_args(False)  # it branches on the data
         try:
             kept = Double() if kind is torch.float64 else contextlib.nullcontext()
             with (
@@ -55,8 +55,18 @@ def undisturbed(kind: "torch.dtype") -> Iterator[None]:
                 yield
         finally:
             torch.set_default_dtype(before)
+            distribution.set_default_validate_args(checked)
             random.setstate(drawn[0])
             np.random.set_state(drawn[1])  # noqa: NPY002
+
+
+def _wide(given: Any) -> Any:
+    """An argument that is a type or an array of float32, in float64."""
+    import torch
+
+    if isinstance(given, np.ndarray) and given.dtype == np.float32:
+        return given.astype(float)
+    return torch.float64 if given is torch.float32 else given
 
 
 def doubled(module: "torch.nn.Module") -> "torch.nn.Module":
@@ -120,19 +130,26 @@ class Trial:
         """
         import torch
 
-        errors = []
+        errors, taken, wanted = [], [], sum(p.size for p in self.builder.outputs)
         for form in list(self._forms()):
             self.x, self.starts, self.packed = form
             try:
                 found = self._called(copy.deepcopy(self.module), self.x, self.starts)
-                break
             except InputError as error:
                 errors.append(error)
+                continue
+            taken.append((*form, found))
+            own = [y for y in self._results(found) if isinstance(y, torch.Tensor)]
+            if sum(y.numel() for y in own[: len(own) - len(self.starts)]) == wanted:
+                break  # else it may have taken its inputs for a batch
         else:
+            if taken:
+                self.x, self.starts, self.packed, found = taken[0]
+        if not taken:
             batch = f"; nor does it take a batch of one: {str(errors[1]).split(': ', 1)[1]}" if errors[1:] else ""
             raise InputError(
-                f"{errors[0]}{batch}; x is one tensor of all inputs. If it takes a window of samples, compile what "
-                "torch.onnx.export writes"
+                f"{errors[0]}{batch}; x is one tensor of all inputs: cut others out of it (x[..., :2]). If it takes a "
+                "window of samples, compile what torch.onnx.export writes; of a loop along a sequence, write one step"
             )
         results = self._results(found)
         for result in results:
