@@ -30,7 +30,6 @@ from greygate.hardware.facts import FACTS, read_facts, read_hardware, read_resou
 from greygate.hardware.verify import Case, Scenario
 from greygate.machines.catalog import CATALOG
 from greygate.machines.source import Source, read_record, read_records
-from greygate.models.importers.files import foreign
 from greygate.models.network import Network
 from greygate.models.storage import TRAINED
 from greygate.models.training.record import Record
@@ -87,7 +86,7 @@ class Project:
         """The scenarios by name; recordings are read again. Raises InputError as `Source.records`."""
         if not self.source.recordings:
             return self.source.records()
-        return read_records(self.network, self.source.recordings, answering=foreign(self.source.name))
+        return read_records(self.network, self.source.recordings, answering=True)
 
     def compiled(self, records: Mapping[str, Record]) -> Compiled:
         """The result of the compiler, with ranges computed again from the training records."""

@@ -22,6 +22,8 @@ from greygate.models.training.record import Record
 from greygate.plants.readers.read import read_channels, read_recording
 from greygate.progress import once
 
+STATE = 'an input that an output becomes is a state: write state = {{ h = "h_next" }} in {}, beside the model'
+
 
 def read_record(network: Network, path: Path | str, targets: bool = True) -> tuple[Record, float]:
     """Read a recording for a network: a column for each port, in its unit or one that is converted to it, and the time.
@@ -104,14 +106,20 @@ class Source:
         return load_quantized(self.name) if foreign(self.name) else None
 
     def records(self, answering: bool = False) -> dict[str, Record]:
-        """By scenario. answering: a network of another tool stands for outputs that no recording has."""
+        """By scenario. answering: the network stands for outputs that no recording has."""
         if not self.recordings:
             if self.name not in CATALOG:
                 self.network()  # that there is none of that name is the first mistake
                 raise InputError(f"{self.name}: no recordings; give FILE.csv after it")
             return dict(entry(self.name).records())
         network = self.network()
-        records = read_records(network, self.recordings, answering=answering and foreign(self.name))
+        try:
+            records = read_records(network, self.recordings, answering=answering)
+        except InputError as error:
+            if not (answering and self.name.endswith(".onnx") and "is missing" in str(error)):
+                raise
+            ports = Path(self.name).with_suffix(".ports.toml").name
+            raise InputError(f"{error}; {STATE.format(ports)}") from None
         if self.imported:
             once(f"{self.name}: {self.imported}")
         return {scenario: replace(record, skip=self.settle) for scenario, record in records.items()}

@@ -483,10 +483,10 @@ def narx_closed() -> dict:
 
 
 def narx_started() -> dict:
-    """With the states of before the first step, the oldest first."""
+    """With the states of before the first step, the oldest first; NaN for a layer that nothing reads late."""
     rng = np.random.default_rng(7)
     before = cells([[float(v) for v in rng.uniform(-1, 1, 3)]])
-    layers = cells([[rng.uniform(-1, 1, (6, 1)) for _ in range(2)], [float(v) for v in rng.uniform(-1, 1, 2)]])
+    layers = cells([[np.full((6, 1), np.nan)] * 2, [float(v) for v in rng.uniform(-1, 1, 2)]])
     return {**narx_closed(), "Xi": before, "Ai": layers}
 
 

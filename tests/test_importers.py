@@ -20,6 +20,7 @@ from torch import nn
 
 from greygate.errors import InputError
 from greygate.hardware.build import Project
+from greygate.machines.source import Source
 from greygate.models.importers import beside, pytorch
 from greygate.models.importers.files import _told, compared, load
 from greygate.models.importers.onnx_graph import from_onnx, imported
@@ -143,14 +144,19 @@ def test_commands_say_how_far_the_network_is_from_onnxruntime(tmp_path):
         assert f"{file}: onnxruntime {version('onnxruntime')} and the network differ by at most" in said
 
 
-def test_a_recording_of_inputs_alone_whose_headers_are_the_ports_is_compiled_and_verified(tmp_path):
+@pytest.mark.parametrize("saved", [False, True])
+def test_a_recording_of_inputs_alone_whose_headers_are_the_ports_is_compiled_and_verified(saved, tmp_path):
     file, columns = recorded(next(c for c in BESIDE if c.model == "scikit-learn pipeline"), tmp_path)
+    name = file.stem
+    if saved:
+        load(file).save(tmp_path / "saved")
+        file = tmp_path / "saved.toml"
     rows = np.column_stack([1e-3 * np.arange(STEPS), *columns.values()])
     csv, build = tmp_path / "run.csv", tmp_path / "build"
     np.savetxt(csv, rows, delimiter=",", comments="", header=",".join(["t_s", *columns]))
     code, _, said = greygate("compile", file, csv, "--out", build)
     assert code == 0, said
-    assert f"{csv}: has no output of {file.stem}; what the network answers stands for it" in said
+    assert f"{csv}: has no output of {name}; what the network answers stands for it" in said
     assert greygate("verify", build)[0] == 0
     code, _, said = greygate("validate", file, csv)
     assert (code, "is missing" in said) == (2, True)
@@ -349,10 +355,11 @@ def test_several_results_are_outputs_in_their_order(kept):
 def test_what_a_module_turns_into_float32_stays_exact():
     class Turned(nn.Module):
         def forward(self, x):
-            return torch.relu(x).float() + (x > 0).to(torch.float32) * torch.arange(2, dtype=torch.float32) / 3
+            y = torch.relu(x).float() + (x > 0).to(torch.float32) * torch.arange(2, dtype=torch.float32) / 3
+            return y + torch.as_tensor(np.array([0.5, 0.0], np.float32))
 
     network = from_torch(Turned(), ["a", "b"], ["p", "q"])
-    assert free_run(network, np.array([[0.1, 0.1]])).tolist() == [[0.1, 0.1 + 1 / 3]]
+    assert free_run(network, np.array([[0.1, 0.1]])).tolist() == [[0.1 + 0.5, 0.1 + 1 / 3]]
 
 
 def test_a_step_with_another_number_of_results_is_refused():
@@ -418,6 +425,15 @@ def test_an_operation_of_onnx_that_would_change_its_meaning_is_refused(model, tm
     onnx.save(onnx.parser.parse_model(text), tmp_path / "m.onnx")
     with pytest.raises(InputError, match=ONNX_REFUSED[model]):
         from_onnx(tmp_path / "m.onnx")
+
+
+def test_an_input_without_a_column_may_be_a_state_and_how_to_say_so_is_told(tmp_path):
+    next(c for c in ALL if c.model == "GRU" and c.source == "ONNX").make(tmp_path)
+    (tmp_path / "gru.ports.toml").unlink(missing_ok=True)
+    Recording(1e-3, {"x": np.zeros(9)}, {"x": "1"}).write_csv(tmp_path / "run.csv")
+    source = Source(str(tmp_path / "gru.onnx"), {"run": str(tmp_path / "run.csv")})
+    with pytest.raises(InputError, match=r'is missing; .* state = \{ h = "h_next" \} in gru.ports.toml'):
+        source.records(answering=True)
 
 
 def test_states_of_an_onnx_model_must_be_its_own(tmp_path):

@@ -193,8 +193,8 @@ class _Layout:
 
     def _before(self, builder: Builder, field: str, j: int, value: Value, delay: int) -> Value:
         """An input or a layer so many steps before, begun as Xi and Ai say; at 0 where the file has none."""
-        starts = self._starts("Xi" if field == "inputDelays" else "Ai", j, value.size)
-        if not starts or not delay:
+        starts = self._starts("Xi" if field == "inputDelays" else "Ai", j, value.size) if delay else []
+        if not starts:
             return value.late(delay)
         if delay > len(starts):
             raise InputError(
