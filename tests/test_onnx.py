@@ -358,7 +358,7 @@ def test_the_fully_connected_layers_of_matlab_are_convolutions_over_an_image(tmp
         helper.make_node("Conv", ["r", "v"], ["y"], kernel_shape=[1, 1]),
     ]
     fixed = {"mean": f(1, 1, 5, 1), "w": f(4, 1, 5, 1), "b": f(4), "v": f(2, 4, 1, 1)}
-    model = built(nodes, {"x": [1, 1, 5, 1]}, ["y"], fixed, opset=8)
+    model = built(nodes, {"x": ["BatchSize", 1, 5, 1]}, ["y"], fixed, opset=6)
     model.ir_version = 3
     model.graph.input.extend(
         helper.make_tensor_value_info(t.name, t.data_type, t.dims) for t in model.graph.initializer
@@ -666,6 +666,113 @@ def test_a_model_of_an_old_opset_answers_as_it_did_and_a_line_says_so(opset, tmp
     assert np.abs(np.column_stack(list(got.values())) - wanted).max() < 1e-9
 
 
+@pytest.mark.parametrize("left_out", ["constants among the inputs", "the shape of its output"])
+def test_what_some_tools_leave_out_of_a_file_is_not_asked_for(left_out, tmp_path):
+    model = built([helper.make_node("MatMul", ["x", "w"], ["y"])], {"x": [1, 3]}, ["y"], {"w": f(3, 2)}, opset=8)
+    model.ir_version = 3
+    if left_out == "the shape of its output":
+        model.ir_version = 8
+        model.graph.output[0].type.tensor_type.ClearField("shape")
+    assert len(from_onnx(saved(model, tmp_path)).outputs) == 2
+
+
+def test_a_model_of_an_opset_that_onnxruntime_has_not_runs_beside_the_network_in_a_newer_one(tmp_path):
+    nodes = [helper.make_node("Mul", ["x", "w"], ["y"], broadcast=1)]
+    path = saved(built(nodes, {"x": [1, 3]}, ["y"], {"w": f(3)}, opset=6), tmp_path)
+    made = imported(path)
+    found = beside(made, path, {p.name: np.linspace(-1, 1, 9) for p in made.network.inputs})
+    assert (found.steps, found.why, found.largest < 1e-6) == (9, "", True)
+    assert found.program.startswith("onnxruntime")
+
+
+def test_every_input_may_have_its_own_name_for_the_batch(tmp_path):
+    """As Keras's exporter names them."""
+    nodes = [helper.make_node("Concat", ["a", "b"], ["c"], axis=1), helper.make_node("Tanh", ["c"], ["y"])]
+    network = from_onnx(saved(built(nodes, {"a": ["unk__1", 2], "b": ["unk__2", 1]}, ["y"]), tmp_path))
+    assert [p.name for p in network.inputs] == ["a_1", "a_2", "b"]
+    mixed = [helper.make_node("ReduceSum", ["c", "zero"], ["s"]), helper.make_node("Add", ["c", "s"], ["y"])]
+    model = built([nodes[0], *mixed], {"a": ["unk__1", 2], "b": ["unk__2", 1]}, ["y"], {"zero": i(0)})
+    assert "the model mixes samples" in refusal(model, tmp_path)
+
+
+def test_inputs_beside_a_window_may_have_their_own_name_for_the_batch(tmp_path):
+    nodes = [helper.make_node("Flatten", ["x"], ["t"]), helper.make_node("Concat", ["t", "b"], ["y"], axis=1)]
+    network = from_onnx(saved(built(nodes, {"x": ["M", 4, 2], "b": ["N", 1]}, ["y"]), tmp_path))
+    assert len(network.inputs) == 3
+
+
+def test_statistics_of_batch_normalization_may_be_computed_as_tensorflow_writes_a_layer_norm(tmp_path):
+    nodes = [
+        helper.make_node("ReduceMean", ["x", "axis"], ["m"], keepdims=1),
+        helper.make_node("Sub", ["x", "m"], ["d"]),
+        helper.make_node("Mul", ["d", "d"], ["s"]),
+        helper.make_node("ReduceMean", ["s", "axis"], ["v"], keepdims=1),
+        *(helper.make_node("Squeeze", [n, "axis"], [f"{n}_flat"]) for n in "mv"),
+        helper.make_node("Unsqueeze", ["x", "first"], ["row"]),
+        helper.make_node("BatchNormalization", ["row", "one", "zero", "m_flat", "v_flat"], ["n"]),
+        helper.make_node("Squeeze", ["n", "first"], ["y"]),
+    ]
+    fixed = {"axis": i(1), "first": i(0), "one": np.ones(1), "zero": np.zeros(1)}
+    right(built(nodes, {"x": [1, 4]}, ["y"], {n: v if v.dtype == int else f(1) for n, v in fixed.items()}), tmp_path)
+
+
+def repeated(times, on="go"):
+    """A body that adds a step's sample to what it holds, and shows that, so many times."""
+    inside = [
+        helper.make_node("Identity", [on], ["on"]),
+        helper.make_node("Gather", ["x", "k"], ["sample"], axis=1),
+        helper.make_node("Add", ["h", "sample"], ["s"]),
+        helper.make_node("Tanh", ["s"], ["after"]),
+        helper.make_node("Identity", ["after"], ["row"]),
+    ]
+    kinds = {"k": (7, []), "go": (9, []), "h": (1, None), "on": (9, []), "after": (1, None), "row": (1, None)}
+    told = {n: helper.make_tensor_value_info(n, *kind) for n, kind in kinds.items()}
+    body = helper.make_graph(
+        inside, "b", [told[n] for n in ("k", "go", "h")], [told[n] for n in ("on", "after", "row")]
+    )
+    nodes = [
+        helper.make_node("Loop", ["times", "", "start"], ["last", "rows"], body=body),
+        helper.make_node("Transpose", ["rows"], ["turned"], perm=[1, 0, 2]),
+        helper.make_node("Flatten", ["turned"], ["flat"]),
+        helper.make_node("Concat", ["last", "flat"], ["y"], axis=1),
+    ]
+    return built(nodes, {"x": ["N", 4, 2]}, ["y"], {"times": np.array(times), "start": np.zeros((1, 2), np.float32)})
+
+
+def test_a_loop_of_known_length_over_a_window_is_written_out(tmp_path):
+    right(repeated(4), tmp_path)
+    right(repeated(3), tmp_path)
+
+
+@pytest.mark.parametrize("chosen", [True, False])
+def test_the_branch_of_a_known_condition_is_taken(chosen, tmp_path):
+    shown = helper.make_tensor_value_info("z", 1, None)
+    graphs = {
+        f"{name}_branch": helper.make_graph([helper.make_node(op, ["x"], ["z"])], name, [], [shown])
+        for name, op in (("then", "Tanh"), ("else", "Sigmoid"))
+    }
+    right(
+        built([helper.make_node("If", ["c"], ["y"], **graphs)], {"x": [1, 3]}, ["y"], {"c": np.array(chosen)}), tmp_path
+    )
+    asked = [
+        helper.make_node("ReduceMax", ["x"], ["m"], keepdims=0),
+        helper.make_node("Greater", ["m", "m"], ["c"]),
+        helper.make_node("If", ["c"], ["y"], **graphs),
+    ]
+    said = refusal(built(asked, {"x": [1, 3]}, ["y"]), tmp_path)
+    assert "how it goes on depends on the inputs; write Where" in said
+
+
+def test_layers_of_long_names_are_joined(tmp_path):
+    """As Keras's exporter makes them of the names of all its parts."""
+    names = [f"model/{'a_part_of_the_model/' * 3}{k}" for k in range(2)]
+    nodes = [
+        helper.make_node("Tanh", ["x"], ["t"], name=names[0]),
+        helper.make_node("Sigmoid", ["t"], ["y"], name=names[1]),
+    ]
+    right(built(nodes, {"x": [1, 3]}, ["y"]), tmp_path)
+
+
 def test_an_old_operator_that_has_no_counterpart_is_refused_in_one_line(tmp_path):
     model = built([helper.make_node("Tile", ["x", "t", "a"], ["y"])], {"x": [1, 3], "t": [1], "a": [1]}, ["y"], opset=5)
     said = refusal(model, tmp_path)
@@ -710,7 +817,7 @@ def calling():
 
 
 BOMBS = {  # model -> what is said
-    "Loop": (looped, "operation Loop: a network carries"),
+    "Loop": (looped, "operation Loop: it runs more than 500 times"),
     "ConstantOfShape": (
         lambda: added(helper.make_node("ConstantOfShape", ["n"], ["r"]), n=i(20000, 20000)),
         "operation ConstantOfShape: its result has 400000000 numbers; all together may have 4194304",

@@ -274,7 +274,7 @@ def test_a_curve_between_such_scales_gives_every_code_that_is_no_near_tie(curve,
     assert apart.max() < 1.2 * 0.019 * 127 * 0.0083
 
 
-def static(folder, x, each, signed):
+def static(folder, x, each, signed, bits=8, **extra):
     """A network of three layers as onnxruntime's quantize_static leaves it, in QDQ format."""
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
@@ -293,8 +293,8 @@ def static(folder, x, each, signed):
             return next(self.left, None)
 
     (folder / "float.onnx").write_bytes(built(nodes, {"x": ["N", 3]}, ["y"], fixed, 17).SerializeToString())
-    kind, file = QuantType.QInt8 if signed else QuantType.QUInt8, folder / f"q{each:d}{signed:d}.onnx"
-    options = {"activation_type": kind, "weight_type": QuantType.QInt8, "per_channel": each}
+    kind, file = getattr(QuantType, f"Q{'' if signed else 'U'}Int{bits}"), folder / f"q{each:d}{signed:d}.onnx"
+    options = {"activation_type": kind, "weight_type": QuantType.QInt8, "per_channel": each, "extra_options": extra}
     quantize_static(folder / "float.onnx", file, Reader(), QuantFormat.QDQ, **options)
     return file
 
@@ -308,6 +308,21 @@ def test_a_static_quantization_of_onnxruntime_gives_every_code_of_it(each, signe
     found, scales = answered(file, x)
     assert np.abs(found - expected).max() < 1e-3 * max(scales)
     assert len(np.unique(expected)) > 20
+
+
+def test_a_static_quantization_to_16_bits_in_the_domain_of_onnxruntime_is_read(tmp_path):
+    """Its optimizer moves such codes by hundreds, so what runs beside the network is not optimized."""
+    x = np.random.default_rng(7).normal(size=(N, 3)).astype(np.float32)
+    file = static(tmp_path, x, True, False, 16, UseQDQContribOps=True)
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    (expected,) = onnxruntime.InferenceSession(str(file), options).run(None, {"x": x})
+    found, scales = answered(file, x)
+    assert np.abs(found - expected).max() < 2 * max(scales)
+    columns = {f"x_{k + 1}": x[:, k].astype(float) for k in range(3)}
+    Recording(1e-3, columns, dict.fromkeys(columns, "1")).write_csv(tmp_path / "run.csv")
+    beside = Source(str(file), {"run": str(tmp_path / "run.csv")}).imported
+    assert (beside.why, beside.largest < 1e-4) == ("", True)
 
 
 @pytest.mark.nightly

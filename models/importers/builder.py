@@ -521,9 +521,10 @@ class Builder:
         if not weights:
             first = self.inputs[0]
             weights = {(first.name, 0): np.zeros((len(bias), first.size))}
-        ports = {
-            signal: re.sub(r"\W", "_", f"{signal[0]}_z{signal[1]}" if signal[1] else signal[0]) for signal in weights
-        }
+        ports = {}
+        for k, signal in enumerate(weights):
+            inner = re.sub(r"\W", "_", f"{signal[0]}_z{signal[1]}" if signal[1] else signal[0])
+            ports[signal] = inner if len(name) + len(inner) < LONGEST_NAME else f"from_{k}"
         layer = Layer({ports[s]: w for s, w in weights.items()}, bias, activation, initial)
         if name not in self._initial:
             self._made[name] = Value((len(bias),), bias, weights), activation
@@ -536,9 +537,10 @@ class Builder:
         plain = word(hint) or "layer"
         plain = plain if "_" in plain else f"{plain}_layer"  # so it is no keyword of a target's language
         taken = {*self.network.modules, *(p.name for p in (*self.inputs, *self.outputs))}
-        name, k = plain[:60], 2
+        plain = plain[:60].rstrip("_")
+        name, k = plain, 2
         while name in taken:
-            name, k = f"{plain[:60]}_{k}", k + 1
+            name, k = f"{plain}_{k}", k + 1
         return name
 
 

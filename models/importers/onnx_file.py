@@ -66,10 +66,18 @@ def _newer(model: "onnx.ModelProto", opset: int, path: Path) -> "onnx.ModelProto
     """The model in opset OLDEST, by onnx's own converter."""
     from onnx import load_model_from_string
 
+    ends = [*model.graph.input, *model.graph.output]
+    free = {t.name: t.SerializeToString() for t in ends}
+    for tensor in ends:  # the converter wants lengths
+        for length in tensor.type.tensor_type.shape.dim:
+            length.dim_value = length.dim_value or 1
     try:
         made = load_model_from_string(converted(model.SerializeToString(), OLDEST, path))
     except InputError as error:
         raise InputError(f"{error}; opset {opset} is converted to {OLDEST} first: export it in {OLDEST}") from None
+    del made.graph.value_info[:]
+    for tensor in (*made.graph.input, *made.graph.output):
+        tensor.ParseFromString(free[tensor.name])
     once(f"{path}: opset {opset}, read as {OLDEST} by onnx's own converter")
     return made
 
@@ -171,9 +179,16 @@ def _beside(tensor: Any, path: Path, most: int) -> bytes:
 
 
 def _declare(model: "onnx.ModelProto") -> None:
-    """Version 1 of a domain of Quant nodes that QKeras's exporter uses and does not name."""
+    """Version 1 of a domain of Quant nodes that QKeras's exporter uses and does not name.
+
+    Older files list their constants among the inputs, too; many do not.
+    """
     import onnx
 
+    model.ir_version = max(model.ir_version, onnx.IR_VERSION_2019_1_22)
+    for tensor in model.graph.output:
+        if tensor.type.HasField("tensor_type"):
+            tensor.type.tensor_type.shape.SetInParent()  # some leave it out
     named = {o.domain for o in model.opset_import}
     for domain in {n.domain for n in model.graph.node} & {*QONNX} - named:
         model.opset_import.append(onnx.helper.make_opsetid(domain, 1))

@@ -20,7 +20,7 @@ from greygate.models.importers.builder import Builder, Value, constant, joined, 
 from greygate.models.importers.curves import CURVES, instead, softplus
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, STANDARD, array, first, ports_of, read, shape
 from greygate.models.importers.onnx_outputs import ML, needed
-from greygate.models.importers.onnx_recurrent import GATES, recurrent, scan
+from greygate.models.importers.onnx_recurrent import GATES, branch, loop, recurrent, scan
 from greygate.models.importers.onnx_reference import (
     AFFINE,
     BILINEAR,
@@ -42,6 +42,7 @@ Kind = TypeVar("Kind", bound=Builder)
 ALONG = {"Conv", "AveragePool", "MaxPool", "GlobalAveragePool", "GlobalMaxPool"}
 STAYING = {"Add", "BatchNormalization", "Cast", "Div", "Identity", "Mul", "Pad", "Relu", "Sub", "Tanh"}  # of axes
 SEQUENCE = 3  # axes of what these take along time: batch, channels, time
+MICROSOFT = "com.microsoft"  # onnxruntime's own domain: QuantizeLinear to 16 bits, before opset 21
 PORTS = 4096  # numbers of an input, an output or a state in one step
 NOTHING = 1e-12  # a length that is as good as 0
 NUMBERS = 8 * ELEMENTS  # weights that all results together may have, each of every signal that it is a sum of
@@ -156,7 +157,7 @@ def _quantizes(model: Any) -> bool:
     nodes, fixed = model.graph.node, {t.name for t in model.graph.initializer}
     return any(
         (n.domain in QONNX and n.op_type in QUANTIZERS)
-        or (n.domain in STANDARD and n.op_type == "QuantizeLinear" and n.input[0] not in fixed)
+        or (n.domain in (*STANDARD, MICROSOFT) and n.op_type == "QuantizeLinear" and n.input[0] not in fixed)
         for n in nodes
     )
 
@@ -336,7 +337,8 @@ class _Walk:
         made = function(self, *(None if v is None else signal(v) for v in given), **options)
         found = list(made) if isinstance(made, list | tuple) else [made]
         if fixed and given:
-            found = [v if v.constant is None else v.constant.astype(given[0].dtype) for v in found]
+            kind = max((v.dtype for v in given if v is not None), key=lambda t: t.kind == "f")  # of codes and a scale
+            found = [v if isinstance(v, np.ndarray) or v.constant is None else v.constant.astype(kind) for v in found]
         return found
 
     def folded(self, node: Any) -> list[Any]:
@@ -661,8 +663,10 @@ def _normed(walk: _Walk, x: Value, *rest: Value, epsilon: float = 1e-5, training
     if training_mode:
         raise walk.refused("it is in training mode; export the model in eval mode")
     each = [-1, *(1 for _ in x.shape[2:])]
-    scale, bias, mean, var = (walk.fixed(r, "a statistic").reshape(each) for r in rest)
-    return x.plus(constant(-mean)).times(scale / np.sqrt(var + epsilon)).plus(constant(bias))
+    scale, bias, mean, var = (r.moved(lambda i: i.reshape(each)) for r in rest)  # TensorFlow's layer norm has signals
+    root = norms.inverse_root(walk.builder, var.plus(constant(epsilon)), walk.hint)
+    whole = walk.builder.product(x.plus(mean.times(-1.0)), root, walk.hint)
+    return walk.builder.product(whole, scale, walk.hint).plus(bias)
 
 
 def _reduced(of: Callable) -> Callable:
@@ -867,6 +871,8 @@ FUNCTIONS: dict[str, Callable] = {
     **{kind: recurrent(kind) for kind in GATES},
     **LINEAR,
     "Scan": scan,
+    "Loop": loop,
+    "If": branch,
     "Cast": _cast,
     "Dropout": _dropout,
     "Identity": lambda walk, x: x,
@@ -875,6 +881,7 @@ FUNCTIONS: dict[str, Callable] = {
 DOMAINS: dict[tuple[str, ...], Mapping[str, Callable]] = {
     STANDARD: FUNCTIONS,
     QONNX: QUANTIZERS,
+    (MICROSOFT,): LINEAR,
     (ML,): {
         "Scaler": _scaler,
         "ArrayFeatureExtractor": _extracted,

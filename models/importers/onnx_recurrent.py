@@ -1,4 +1,4 @@
-"""RNN, GRU, LSTM and Scan of ONNX: a step whose state goes on; over a window every step of it, begun anew.
+"""RNN, GRU, LSTM, Scan, Loop of ONNX: a step whose state goes on; over a window every step of it, begun anew.
 
 Source: https://onnx.ai/onnx/operators, which onnxruntime settles where it is open.
 """
@@ -13,6 +13,7 @@ from greygate.errors import InputError
 from greygate.models.importers import curves
 from greygate.models.importers.builder import Activate, Builder, Value, constant, stacked, taken
 from greygate.models.importers.onnx_file import array
+from greygate.models.layer import LONGEST_DELAY
 
 
 class Shape(NamedTuple):
@@ -195,23 +196,63 @@ def scan(walk: Any, *given: Value, body: Any, num_scan_inputs: int, **options: A
     unrolled = walk.windows or all(v.constant is not None for v in given[count:])  # by rows of constants, not of time
     if steps != 1 and not unrolled:
         raise walk.refused(f"{steps} steps: export the model with one")
-    states, kept, node = list(given[:count]), [], walk.node
+    states, kept = list(given[:count]), []
     for j, inner in enumerate(body.input[:count] if not unrolled else ()):
         first = walk.fixed(states[j], "the initial state")
         name, states[j] = walk.builder.state(f"{walk.hint}_{inner.name}", first)
         kept.append(name)
-    fixed, rows = {t.name: array(t) for t in body.initializer}, []
+    rows = []
     for k in range(steps):
-        entering = [*states, *(taken(sequence, k, 0) for sequence in given[count:])]
-        values = {**walk.scope, **fixed, **dict(zip((i.name for i in body.input), entering, strict=True))}
-        walk.run(body, values)
-        walk.node = node
-        found = [v if isinstance(v, Value) else constant(v) for v in (values[o.name] for o in body.output)]
+        found = [_value(v) for v in _passed(walk, body, *states, *(taken(part, k, 0) for part in given[count:]))]
         states = found[:count]
         rows.append(found[count:])
     for name, value in zip(kept, states, strict=False):
         walk.builder.keep(name, value)
     return [*states, *(stacked(part, 0) for part in zip(*rows, strict=True))]
+
+
+def loop(walk: Any, *_: Value, body: Any) -> list[Any]:
+    """Every pass of the body written out; their number must be known. Keras writes a layer over a window so."""
+    (limit, on), held = _known(walk, walk.node.input[:2]), [walk.scope[n] for n in walk.node.input[2:]]
+    rows: list[list[Value]] = []
+    while (on is None or bool(on)) and (limit is None or len(rows) < int(limit)):
+        if len(rows) == LONGEST_DELAY:
+            raise walk.refused(f"it runs more than {LONGEST_DELAY} times; export the model with a shorter window")
+        on, *found = _passed(walk, body, np.array(len(rows)), np.array(True), *held)
+        if isinstance(on, Value):
+            raise walk.refused(UNTOLD)
+        held = found[: len(held)]
+        rows.append([_value(v) for v in found[len(held) :]])
+    return [*held, *(stacked(part, 0) for part in zip(*rows, strict=True))]
+
+
+def branch(walk: Any, _: Value, then_branch: Any, else_branch: Any) -> list[Any]:
+    """The graph that is chosen; it must be known which."""
+    (chosen,) = _known(walk, walk.node.input)
+    return _passed(walk, then_branch if bool(chosen) else else_branch)
+
+
+def _known(walk: Any, names: Sequence[str]) -> list[np.ndarray | None]:
+    found = [walk.scope[n] if n else None for n in names]
+    if any(isinstance(v, Value) for v in found):
+        raise walk.refused(UNTOLD)
+    return found
+
+
+def _passed(walk: Any, body: Any, *entering: Any) -> list[Any]:
+    """What a graph inside a node gives."""
+    node, fixed = walk.node, {t.name: array(t) for t in body.initializer}
+    values = {**walk.scope, **fixed, **dict(zip((i.name for i in body.input), entering, strict=True))}
+    walk.run(body, values)
+    walk.node = node
+    return [values[o.name] for o in body.output]
+
+
+def _value(found: Any) -> Value:
+    return found if isinstance(found, Value) else constant(found)
+
+
+UNTOLD = "how it goes on depends on the inputs; write Where, or export with a fixed number of steps"
 
 
 # -- the same in NumPy, as ONNX's reference lacks most options --------------------------------------------------------
