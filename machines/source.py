@@ -45,7 +45,10 @@ def read_record(network: Network, path: Path | str, targets: bool = True) -> tup
 
 
 def _answered(network: Network, path: Path | str) -> tuple[Record, float]:
-    names = {c.name for c in read_channels(path, {p.name: p.unit for p in network.inputs + network.outputs})}
+    try:
+        names = {c.name for c in read_channels(path, {p.name: p.unit for p in network.inputs + network.outputs})}
+    except InputError:  # of a column that may be none of the network's: the reader knows first what it lacks
+        return read_record(network, path)
     if names & {p.name for p in network.outputs}:
         return read_record(network, path)
     record, dt = read_record(network, path, targets=False)
