@@ -18,6 +18,7 @@ from test_cli import recording
 from benchmarks.concealed_bench.make import make
 from benchmarks.concealed_bench.run import run
 from greygate import cli
+from greygate.cli import terminal
 from greygate.cli.grammar import leaves
 from greygate.machines.source import Source
 from greygate.mismatch.concealed.conceal import conceal
@@ -254,6 +255,7 @@ def of(command: str) -> list[list[str]]:
 @pytest.mark.parametrize("command", ["", *GOOD])
 def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_written(command, world, greygate, monkeypatch):
     monkeypatch.chdir(world)
+    monkeypatch.setattr(terminal, "SILENCE", 600.0)  # s: a busy machine, on which it takes longer, prints progress
     before = snapshot(world)
 
     def check(arguments):
