@@ -100,8 +100,7 @@ class _Joining:
         for where, text in effect.storages.items():
             if where not in self.equations:
                 self.fail(effect, f"storages.{where}: {self.plant.name} has no such balance")
-            equation = self.equations[where]
-            self.equations[where] = replace(equation, storage=f"({equation.storage}) + {effect.lazily(text)}")
+            self.equations[where] = self.equations[where].storing(effect.lazily(text))
         for symbol in effect.set:
             if symbol not in self.parameters:
                 self.fail(effect, f"set {symbol}: plant {self.plant.name} has no such parameter")

@@ -174,8 +174,12 @@ def _drive(rig: Rig, where: str) -> str:
 
 
 def _storage(plant: Plant, where: str) -> str:
-    """What a balance multiplies the rate of its state with; empty where a simulator from outside does."""
-    return "" if plant.outside or where not in plant.equations else plant.equations[where].storage
+    """What a balance multiplies the rate of its state with; empty where that is not all that is moved.
+
+    So it is where a simulator from outside has it, and where a mass matrix has more: less of it may be singular.
+    """
+    alone = not plant.outside and where in plant.equations and not plant.equations[where].couples
+    return plant.equations[where].storage if alone else ""
 
 
 def _known(plant: Plant, place: Place) -> bool:

@@ -79,6 +79,10 @@ class Equation:
         """All its expressions."""
         return (self.storage, *self.couples.values(), *self.terms.values())
 
+    def storing(self, more: str) -> "Equation":
+        """The balance with an expression added to its storage."""
+        return replace(self, storage=f"({self.storage}) + {more}")
+
 
 @dataclass(frozen=True)
 class Definition:
@@ -231,12 +235,6 @@ class Plant:
             kept = {name: text for name, text in plant._place(where).terms.items() if name != term}
             plant = plant._with_terms(where, kept, {})
         return plant
-
-    def with_storage(self, where: str, text: str) -> "Plant":
-        """The plant with an expression added to a balance's storage."""
-        equation = self.equations[where]
-        more = replace(equation, storage=f"({equation.storage}) + {text}")
-        return replace(self, equations={**self.equations, where: more})
 
     def with_term(
         self, where: str, term: str, expression: str, parameters: Mapping[str, Parameter] | None = None

@@ -153,8 +153,8 @@ def _with(plant: Plant, effect: Effect, values: Mapping[str, float]) -> Plant:
         equations={**plant.equations, **effect.equations_of},
         definitions={**effect.definitions, **plant.definitions},
     )
-    for where, text in effect.storages.items():
-        plant = plant.with_storage(where, text)
+    heavier = {where: plant.equations[where].storing(text) for where, text in effect.storages.items()}
+    plant = replace(plant, equations={**plant.equations, **heavier})
     for path, text in effect.terms.items():
         where, _, term = path.partition(".")
         if not where.startswith(SENSOR):

@@ -81,9 +81,7 @@ def _program(made: Imported, path: Path, axis: int | None, rounds: bool) -> tupl
 
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4
-    options.graph_optimization_level = (
-        onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
-    )  # 16-bit codes it moves by 239
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL  # it moves 16-bit codes
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     names = [*(t.name for t in made.outputs), *(after for _, _, after in made.states.values())]
     shown = {o.name for o in read(path).graph.output}
