@@ -255,8 +255,10 @@ class _Quantizer:
         """Fraction bits that hold a sum of earlier signals with short weights (a difference) exactly; else inf."""
         layer, needed = self.layers[name], [0]
         for rows in _values(layer):
+            if layer.bias[rows].any():
+                return None
             for (source, _), w in self._reads(name, rows).items():
-                if source not in self.signals or layer.bias[rows].any():
+                if source not in self.signals:
                     return None
                 bits = _exact_bits(w, self.formats.width)
                 if bits >= self.formats.width:

@@ -22,7 +22,10 @@ from greygate.models.training.record import Record
 from greygate.plants.readers.read import read_channels, read_recording
 from greygate.progress import once
 
-STATE = 'an input that an output becomes is a state: write state = {{ h = "h_next" }} in {}, beside the model'
+PORTS = (
+    'write inputs = ["a [V]", "b [m]"] in {} beside the model to name them as the recording does; an input that an '
+    'output becomes is a state: state = {{ h = "h_next" }}'
+)
 
 
 def read_record(network: Network, path: Path | str, targets: bool = True) -> tuple[Record, float]:
@@ -122,7 +125,7 @@ class Source:
             if not (answering and self.name.endswith(".onnx") and "is missing" in str(error)):
                 raise
             ports = Path(self.name).with_suffix(".ports.toml").name
-            raise InputError(f"{error}; {STATE.format(ports)}") from None
+            raise InputError(f"{error}; {PORTS.format(ports)}") from None
         if self.imported:
             once(f"{self.name}: {self.imported}")
         return {scenario: replace(record, skip=self.settle) for scenario, record in records.items()}

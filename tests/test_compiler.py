@@ -504,6 +504,16 @@ def test_a_simplification_that_moves_an_output_by_a_millionth_stops_the_compiler
         compile_network(network, {"run": Record({"u": u}, network.run({"u": u}))}, Formats(12))
 
 
+def test_an_output_that_is_always_the_same_number_keeps_the_width():
+    network = Network("still", [Port("u")], [Port("y")], {"none": Layer({"u": [[0.0]]}, [-0.0666759])})
+    network.connect("u", "none.u")
+    network.connect("none", "y")
+    u = np.linspace(-1.0, 1.0, 50)
+    program = compile_network(network, {"run": Record({"u": u}, network.run({"u": u}))}, Formats(12)).program
+    answered = run(program, program.encode({"u": u})).outputs * program.signals["none"].fix.lsb
+    np.testing.assert_allclose(answered, -0.0666759, rtol=2**-11)
+
+
 def test_an_output_that_is_always_zero_compiles():
     network = Network("still", [Port("u")], [Port("y")], {"none": Layer({"u": [[0.0]]}, [0.0])})
     network.connect("u", "none.u")

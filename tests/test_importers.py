@@ -432,7 +432,7 @@ def test_an_input_without_a_column_may_be_a_state_and_how_to_say_so_is_told(tmp_
     (tmp_path / "gru.ports.toml").unlink(missing_ok=True)
     Recording(1e-3, {"x": np.zeros(9)}, {"x": "1"}).write_csv(tmp_path / "run.csv")
     source = Source(str(tmp_path / "gru.onnx"), {"run": str(tmp_path / "run.csv")})
-    with pytest.raises(InputError, match=r'is missing; .* state = \{ h = "h_next" \} in gru.ports.toml'):
+    with pytest.raises(InputError, match=r'is missing; .* inputs = .* in gru.ports.toml .* state = \{ h = "h_next" \}'):
         source.records(answering=True)
 
 
@@ -498,3 +498,11 @@ def test_a_struct_of_weights_biases_and_names_of_functions_is_read(written, tmp_
     h = np.tanh(weights[1] @ np.maximum(weights[0] @ x.T + biases[0], 0) + biases[1])
     assert [p.name for p in (*network.inputs, *network.outputs)] == ["x_1", "x_2", "x_3", "y_1", "y_2"]
     assert np.abs(free_run(network, x) - (weights[2] @ h + biases[2]).T).max() < 1e-12
+
+
+def test_weights_by_names_of_their_own_are_told_how_to_be_written(tmp_path):
+    from scipy.io import savemat
+
+    savemat(tmp_path / "net.mat", {"W1": np.ones((2, 1)), "b1": np.ones((2, 1))})
+    with pytest.raises(InputError, match=r"has no IW, but W1, b1; .* plain layers with W = \{W1, W2\}"):
+        load(tmp_path / "net.mat")

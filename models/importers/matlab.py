@@ -61,7 +61,11 @@ class _Layout:
         self.path, self.found = path, _layered(found)
         found = self.found
         if missing := [f for f in ("IW", "b", "transferFcn") if f not in found]:
-            raise InputError(f"{path}: has no {missing[0]}; write it with the function on docs/importers.md")
+            raise InputError(
+                f"{path}: has no {missing[0]}, but {', '.join(sorted(found)) or 'nothing'}; write a network with the "
+                "function on docs/importers.md, and plain layers with W = {W1, W2}; b = {b1, b2}; "
+                "act_fcns = {'tansig', 'purelin'}; save('net.mat', 'W', 'b', 'act_fcns')"
+            )
         self.transfer = [str(v) for v in _cells(found["transferFcn"]).ravel()]
         self.layers = len(self.transfer)
         self.iw, self.lw = self._grid("IW"), self._grid("LW", self.layers)

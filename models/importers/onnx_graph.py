@@ -286,6 +286,7 @@ class _Walk:
         self.left = NUMBERS
         self.columns = Reference(reference.opsets, CHECKED, double=True)
 
+    @np.errstate(all="ignore")  # a number that is none is refused where a network would keep it
     def run(self, graph: Any, values: dict[str, Any]) -> None:
         """Add the results of its nodes to the values."""
         outer, self.scope = self.scope, values
@@ -706,7 +707,8 @@ def _cast(walk: _Walk, x: Value, to: int, **_: Any) -> Value:
         )
     raise walk.refused(
         f"a signal becomes {TensorProto.DataType.Name(to)}, which rounds it; keep it in FLOAT or "
-        "DOUBLE, and give a class that it is (Embedding) as one port of 0 or 1 for each"
+        "DOUBLE; of a class that picks a row (Embedding) make one port of 0 or 1 for each, and of places in a list "
+        "(QuantileTransformer, Discretizer) a curve that is trained"
     )
 
 
