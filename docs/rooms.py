@@ -45,6 +45,8 @@ def modules() -> dict[str, Path]:
     found = {}
     for folder in FOLDERS:
         for path in sorted((ROOT / folder).rglob("*.py")):
+            if not (path.parent / "__init__.py").exists():  # a sample, which is data
+                continue
             parts = path.relative_to(ROOT).with_suffix("").parts
             parts = parts if folder == "greygate" else ("greygate", *parts)
             found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path

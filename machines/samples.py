@@ -28,6 +28,7 @@ CUTS = {  # file -> (recording of the measured machine, first and last sample): 
 }  # fmt: skip
 AXIS = ("axis.toml", "rig.toml", "mine.toml", "identify.csv", "holdout.csv")
 CART = ("cart.toml", "train.csv", "test.csv")
+PENDULUM = ("pendulum.py", "run.csv")
 
 
 def write(name: str, out: Path) -> list[Path]:
@@ -87,5 +88,9 @@ DEMOS = {
     "recording": Demo(
         "a rig that conceals one effect: explain a recording", ("rig",),
         ("greygate diagnose rig --out diagnosis.json --html page.html",), _concealed,
+    ),
+    "simulator": Demo(
+        "a pendulum as a function of Python, and a recording that it misses", PENDULUM,
+        ("python pendulum.py",), _copied("pendulum", PENDULUM),
     ),
 }  # fmt: skip

@@ -1,12 +1,18 @@
 """`greygate demo` writes what a tutorial begins with, beside what is there."""
 
 import re
+import runpy
+import subprocess
+import sys
 
+import numpy as np
 import pytest
 from rooms import ROOT
 
 from greygate.machines.samples import DEMOS
-from greygate.plants import read_csv
+from greygate.plants import read_csv, simulate
+
+SIMULATOR = ROOT / "recordings" / "pendulum"
 
 
 @pytest.mark.parametrize("name", DEMOS)
@@ -45,6 +51,28 @@ def test_the_network_is_cut_as_its_tutorial_cuts(greygate, tmp_path):
         whole = read_csv(ROOT / "recordings" / "servohydraulic-mts" / f"{source}.csv")
         made = read_csv(tmp_path / f"{name}.csv")
         assert (made["x_meas"] == whole["x_meas"][int(first) : int(last)]).all()
+
+
+def test_the_simulator_misses_what_its_source_says_and_nothing_else():
+    told = (SIMULATOR / "SOURCE.md").read_text()
+    friction, place = re.search(r"`(-.*?)` in `(\w+)`", told).groups()
+    damping, noise = (float(re.search(words, told)[1]) for words in (r"damping of ([\d.]+)", r"with ([\d.]+) mrad"))
+    plant = runpy.run_path(str(SIMULATOR / "pendulum.py"))["pendulum"]
+    real = plant.with_term(place, "dry", friction).with_parameters(damping=damping)
+    run = read_csv(SIMULATOR / "run.csv")
+    given = {"torque": run["torque"]}
+    found = [simulate(one, given, sample_time=run.dt)["angle"] for one in (plant, real)]
+    away = [np.std(angle - run["angle"]) / (1e-3 * noise) for angle in found]
+    assert away[0] > 100
+    assert away[1] == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.nightly
+def test_the_simulator_is_explained_by_one_call(greygate, tmp_path):
+    greygate("demo", "simulator", "--out", tmp_path)
+    done = subprocess.run([sys.executable, "pendulum.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "dry_friction:" in done.stdout
+    assert float(re.search(r"f_w +([\d.]+) ", done.stdout)[1]) == pytest.approx(0.15, rel=1e-3)
 
 
 def test_all_samples_are_listed_with_what_they_are(greygate):
