@@ -1,6 +1,7 @@
 """`greygate train --seeds` and `--settle auto`: several starts, and how many samples only give the initial state."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -47,7 +48,7 @@ def folder(tmp_path, monkeypatch):
 
 def test_the_start_with_the_least_held_out_error_is_written_and_all_are_told(greygate, folder):
     words = ["train", "mine.toml", "rest.csv", "--held", "held.csv", "--seeds", "3", "--epochs", "25"]
-    code, printed, said = greygate(*words, "--settle", "40", "--out", "out")
+    code, printed, said = greygate(*words, "--settle", "40", "--out", "out", "--html", "page.html")
     assert code == 0
     found = json.loads((folder / "out" / "mine.json").read_text())
     errors = [start["held_out"] for start in found["starts"]]
@@ -58,6 +59,10 @@ def test_the_start_with_the_least_held_out_error_is_written_and_all_are_told(gre
     assert f"{errors[0]:.4g}" in printed
     assert "judge on another recording" in said
     assert sorted(p.suffix for p in (folder / "out").iterdir()) == [".json", ".safetensors", ".toml"]
+    worst = max(found["rmse"], key=lambda name: found["rmse"][name]["y"])
+    first = re.search(r"<li><b>([\d.]+) (\S+)</b><span>(.*?)</span>", (folder / "page.html").read_text())
+    assert float(first[1]) * {"mm": 1e-3, "µm": 1e-6}[first[2]] == pytest.approx(found["rmse"][worst]["y"], rel=0.01)
+    assert first[3].startswith(f"RMS in free run of y on {worst}")
 
 
 def test_several_starts_need_something_that_chooses(greygate, folder):

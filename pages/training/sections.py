@@ -10,7 +10,7 @@ from greygate.models.adaptation import weight_changes
 from greygate.models.residuals import asks_for
 from greygate.pages import figures as drawing
 from greygate.pages.figures import Curve
-from greygate.pages.units import display, labelled, shown
+from greygate.pages.units import NONE, display, labelled, shown
 from greygate.pages.validation.sections import label, stems
 
 SERIES = 5  # colours of style.html; the starts beyond them share
@@ -18,12 +18,12 @@ SERIES = 5  # colours of style.html; the starts beyond them share
 
 def head(figures: dict, evidence: Evidence) -> dict:
     """Headline, errors, starts, curves by epoch."""
-    starts = figures["starts"]
+    starts, rows = figures["starts"], errors(figures, evidence)
     return {
         "network": evidence.after.name,
-        "facts": facts(figures),
+        "facts": facts(figures, rows),
         "remarks": figures["remarks"],
-        "errors": errors(figures, evidence),
+        "errors": rows,
         "starts": starts,
         "loss": by_epoch(starts, "history", "loss J"),
         "held": by_epoch(starts, "held", "held out, RMS") if any(s["held"] for s in starts) else None,
@@ -31,22 +31,27 @@ def head(figures: dict, evidence: Evidence) -> dict:
     }
 
 
-def facts(figures: dict) -> list[tuple[str, str, bool | None]]:
-    """The headline: (value, its meaning, whether it is good, or None)."""
-    found = [(figures["outcome"], figures["sentence"], figures["outcome"] != "diverged" or None)]
-    found = [(v, text, False if v == "diverged" else None) for v, text, _ in found]
-    found.append((str(figures["epochs"]), f"epochs, {figures['seconds']:.3g} s", None))
+def facts(figures: dict, rows: list[dict]) -> list[tuple[str, str, bool | None]]:
+    """The headline: (value, its meaning, whether it is good, or None). rows: of `errors`."""
+    worst = max(rows, key=lambda row: row["normalised"])
+    than = "" if worst["linear"] == NONE else f"; {worst['linear']} of a linear model"
+    error = f"RMS in free run of {worst['output']} on {worst['record']}{than}"
+    found: list[tuple[str, str, bool | None]] = [(f"{worst['rms']} {worst['unit']}".removesuffix(" 1"), error, None)]
+    ended = False if figures["outcome"] == "diverged" else None
+    found.append((f"{figures['epochs']} epochs", f"{figures['sentence']} {figures['seconds']:.3g} s", ended))
     if (held := figures["starts"][0]["held_out"]) is not None:
         found.append((f"{held:.3g}", "RMS on what was held out, normalised", None))
     if len(figures["starts"]) > 1:
-        found.append((str(len(figures["starts"])), "starts; what was held out chose one", None))
-    found.append((str(figures["settle"]), "first samples of each recording give only its initial state", None))
+        found.append((f"{len(figures['starts'])} starts", "what was held out chose one", None))
+    if figures["settle"]:
+        found.append((f"{figures['settle']} samples", "at first of each recording give only its initial state", None))
     return found
 
 
 def errors(figures: dict, evidence: Evidence) -> list[dict]:
-    """A row for each record and output: RMS in free run, and that of a linear model."""
+    """A row for each record and output: RMS in free run, also over the port's scale, and that of a linear model."""
     units = {p.name: p.unit for p in evidence.after.outputs}
+    scales = {p.name: p.scale for p in evidence.after.outputs}
     rows = []
     for record, outputs in figures["rmse"].items():
         for output, value in outputs.items():
@@ -56,6 +61,7 @@ def errors(figures: dict, evidence: Evidence) -> list[dict]:
                 {
                     "record": record,
                     "output": output,
+                    "normalised": math.inf if value is None else value / scales[output],
                     "rms": "∞" if value is None else shown(value, units[output], reach),
                     "linear": shown(linear, units[output], reach),
                     "unit": display(units[output], reach)[1] or "1",
