@@ -13,6 +13,7 @@ LEGIBLE = {"screen": 8, "print": 6}  # px of the smallest text of a picture
 CONTRAST = {"text": 4.5, "curve": 1.5}  # to what is behind it; 4.5 is level AA of WCAG 2 for text
 TOUCH = 2  # px by which the boxes of two texts may lap: a box is higher than its letters
 SCRIPT = Path(__file__).with_suffix(".js").read_text()
+DRAWN = "!document.getElementById('plotly') || document.body.dataset.drawn"
 SETTLED = 150  # ms after which a drawing that was told to change has changed
 
 
@@ -54,7 +55,7 @@ def opened(browser, page: Path | str, size: tuple[int, int], theme: str) -> Iter
     tab.on("pageerror", lambda error: told.append(f"error: {error}"))
     tab.on("request", lambda asked: asked.url.startswith(own) or told.append(asked.url))
     tab.goto(address)
-    tab.wait_for_function("!document.getElementById('plotly') || document.body.dataset.drawn")
+    tab.wait_for_function(DRAWN)
     tab.wait_for_timeout(SETTLED)
     yield tab, told
     context.close()
@@ -69,6 +70,7 @@ def faults(browser, page: Path) -> dict[str, list[str]]:
     for theme in THEMES:
         with opened(browser, page, PAPER, theme) as (tab, told):
             tab.emulate_media(media="print")
+            tab.wait_for_function(DRAWN + " === 'print'")
             tab.wait_for_timeout(SETTLED)
             found[f"paper, {theme}"] = looked(tab, "print") + told
     with opened(browser, page, SIZES["telephone"], "light") as (tab, told):
