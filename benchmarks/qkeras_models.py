@@ -1,4 +1,4 @@
-"""Quantized networks by QKeras, as qonnx writes them. qkeras_exports.py runs this in an interpreter of theirs.
+"""Quantized networks by QKeras, as qonnx writes them. quantized_exports.py runs this in an interpreter of theirs.
 
     python qkeras_models.py FOLDER    writes NAME.onnx and NAME.npz: x (N, 16), y (N, outputs) before a softmax
 

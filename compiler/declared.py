@@ -1,7 +1,8 @@
 """From a network whose signals have declared formats, such as QONNX's, to the program that equals it in every bit.
 
 Nothing is chosen here: every weight is kept exactly, every sum is exact, and a Quant rounds it once. A sum stays within
-the 24 bits that float32 holds exactly, so a tool that computes in float32 gets the same, in whatever order it adds.
+the 24 bits that float32 holds exactly, so a tool that computes in float32 gets the same, in whatever order it adds. Of
+a model whose numbers no such program has, weights and sums keep 24 bits, and near a tie a code may be the next one.
 """
 
 from collections.abc import Mapping
@@ -12,7 +13,7 @@ import numpy as np
 
 from greygate.compiler.tables import LARGEST_BITS, flat_from, integer_bits, make_table, output_fix
 from greygate.emulator.numbers import ACCUMULATOR_BITS, FRACTIONS, Fix, Overflow, Rounding, signed_width
-from greygate.emulator.program import Affine, Clamp, Lookup, Operation, Program, Signal, Terminal
+from greygate.emulator.program import Affine, Clamp, Lookup, Operation, Program, Signal, Terminal, Threshold
 from greygate.emulator.tables import Lines, Symmetry, Table
 from greygate.errors import InputError
 from greygate.models.activations import ACTIVATIONS
@@ -27,6 +28,10 @@ REAL = ACCUMULATOR_BITS - 2  # bits of a sum of such weights, beside its sign an
 FINE = 16  # bits of a tanh or a sigmoid before a Quant whose scale is no power of two: 8 more than most have
 INPUT_BITS = range(8, 17)  # of an input that no Quant reads
 DOUBT = 2.0**-21  # error that a tanh or a sigmoid in float32 may have: eight units in the last place of 1
+
+
+class Inexact(InputError):
+    """No program equals the model in every bit."""
 
 
 class Bounded(NamedTuple):
@@ -53,23 +58,35 @@ def declared_program(
     """The program of a network with declared formats. period: s, of a step.
 
     reach: input -> its largest magnitude. One that no Quant reads gets a format that holds it, of the most bits with
-    which every sum is exact; a line says so. Raises InputError for an input without either, for a sum that float32 does
-    not hold, and for a tanh or a sigmoid without formats around it, each with what to do.
+    which every sum is exact; a line says so. Where nothing is exact, because scales are no powers of two or a sum has
+    more bits than float32, in which the model computes, weights have its bits; a line says why. Raises InputError for
+    an input without either, and for what no program carries, with what to do.
     """
     units: dict[str, float] = {}
-    if quantized.real:
-        quantized, units = _in_codes(quantized)
-        once(
-            f"{quantized.network.name}: its scales are no powers of two: signals are codes, rounded as it says; "
-            f"weights by scales have {FLOAT32} bits, so a code that float32 cannot tell from the next may differ by one"
-        )
+    why = "its scales are no powers of two"
+    if not quantized.real:
+        try:
+            return _fitted(quantized, period, reach, units)
+        except Inexact as error:
+            quantized, why = quantized._replace(real=True), str(error)
+    quantized, units = _in_codes(quantized)
+    found = _fitted(quantized, period, reach, units)
+    once(
+        f"{quantized.network.name}: no program equals it in every bit ({why}); weights and sums have {FLOAT32} bits, "
+        f"curves {FINE}: near a tie a code may be the next one"
+    )
+    return found
+
+
+def _fitted(quantized: Quantized, period: float, reach: Mapping[str, float], units: Mapping[str, float]) -> Program:
+    """The program in which inputs that no Quant reads have the most bits that it allows."""
     network = quantized.network
     guessed = [p.name for p in network.inputs if p.name in reach and not _format(quantized, p.name)]
     for width in reversed(INPUT_BITS):
         forms = {n: _covering(reach[n], width) for n in guessed}
         try:
             program = _Declared(quantized, forms, units).program(period)
-        except InputError:
+        except Inexact:
             if not guessed or width == INPUT_BITS.start:
                 raise
             continue
@@ -125,7 +142,7 @@ class _Declared:
 
     def program(self, period: float) -> Program:
         inputs = [self._input(p) for p in self.network.inputs]
-        shown = [getattr(self, f"_{KINDS[step.kind]}")(step) for step in self.steps]
+        shown = [getattr(self, f"_{KINDS.get(step.kind, step.kind)}")(step) for step in self.steps]
         ends = [s for s, step in zip(shown, self.steps, strict=True) if step.kind == "output"]
         scales = [self.shown[step.name] for step in self.steps if step.kind == "output"]
         ports = zip(self.network.outputs, ends, scales, strict=True)
@@ -178,7 +195,7 @@ class _Declared:
             return self._interpolated(step)
         arg = self.known[self._exact(f"{step.name}.n", step.value)].signal
         if arg.fix.width > LARGEST_BITS + 1:
-            raise InputError(
+            raise Inexact(
                 f"{step.name}: its argument has {arg.fix.width} bits, a table at most {LARGEST_BITS + 1}; "
                 "put a Quant of fewer bits in front of it"
             )
@@ -201,14 +218,14 @@ class _Declared:
         """A table with a point for every code, before the Quant limits it."""
         arg = self.known[self._exact(f"{step.name}.n", step.value)].signal
         if form.frac < 1 or form.rounding != Rounding.HALF_EVEN:
-            raise InputError(f"{step.name}: give the Quant behind it ROUND and a scale of 1/2 or less")
+            raise Inexact(f"{step.name}: give the Quant behind it ROUND and a scale of 1/2 or less")
         f, fix = ACTIVATIONS[step.kind], Fix(form.frac + 2, form.frac)
         assert f.symmetry, "a table holds half of a symmetric function"
         exact = f.value(xp, np.arange(-arg.fix.lo + 1) * arg.fix.lsb)
         scaled = exact * 2.0**form.frac
         doubtful = np.abs(scaled - np.floor(scaled) - 0.5) < DOUBT * 2.0**form.frac
         if doubtful.any():
-            raise InputError(
+            raise Inexact(
                 f"{step.name}: of {np.argmax(doubtful) * arg.fix.lsb:g} it lies between two codes, where float32 does "
                 "not say which; give the Quant before or behind it one bit less"
             )
@@ -240,8 +257,17 @@ class _Declared:
         self.known[signal.name] = Bounded(signal, lo, hi)
         return signal
 
-    def _exact(self, name: str, value: Value) -> str:
-        """The signal that holds a value as it is: an earlier one, or a sum in a format that holds every bit of it."""
+    def _sign(self, step: Step) -> Signal:
+        arg = self._exact(f"{step.name}.n", step.value, Rounding.TRUNCATE)  # which keeps the sign
+        out, (low, high) = Signal(step.name, step.value.size, Fix(2, 0)), ACTIVATIONS[step.kind].image
+        self.operations.append(Threshold(out, arg, 0, int(low), int(high)))
+        return self._define(out, int(low), int(high))
+
+    def _exact(self, name: str, value: Value, rounding: Rounding = Rounding.HALF_EVEN) -> str:
+        """The signal that holds a value as it is: an earlier one, or a sum in a format that holds every bit of it.
+
+        rounding: of the bits of a sum beyond those of float32, where nothing is exact.
+        """
         if name in self.known:
             return name
         source = _copied(value)
@@ -251,7 +277,7 @@ class _Declared:
         width = max(2, signed_width(sums.reach))
         less = max(0, width - FLOAT32 - 1)  # of a sum of such weights as float32 does not hold, either
         out = Signal(name, value.size, Fix(width - less, sums.frac - less))
-        self._affine(out, value, Rounding.HALF_EVEN if less else Rounding.TRUNCATE)
+        self._affine(out, value, rounding if less else Rounding.TRUNCATE)
         if less:
             return name
         self._define(out, -sums.reach, sums.reach)
@@ -266,17 +292,23 @@ class _Declared:
     def _sums(self, name: str, value: Value) -> Sums:
         for source, _ in value.weights:
             if source in self.curves and source not in self.known:
-                raise InputError(f"{source}: {name} reads it as it is; put a Quant directly behind it")
+                raise Inexact(f"{source}: {name} reads it as it is; put a Quant directly behind it")
         read = [self.known[source] for source, _ in value.weights] or list(self.known.values())[:1]
         matrices = list(value.weights.values()) or [np.zeros((value.size, read[0].signal.size))]
         bits = self._rounded if self.real else _bits
         fracs = [bits(name, w) + r.signal.fix.frac for w, r in zip(matrices, read, strict=True)]
-        frac = max(*fracs, FRACTIONS.start) if self.real else max(*fracs, _bits(name, value.bias), FRACTIONS.start)
+        finest = bits(name, value.bias)
+        if self.real:  # no finer than a sum is in float32, and a guard bit
+            most = sum(
+                np.abs(w).sum(1) * max(-r.lo, r.hi) * r.signal.fix.lsb for w, r in zip(matrices, read, strict=True)
+            )
+            finest = min(finest, FLOAT32 + 1 - int(np.frexp((most + np.abs(value.bias)).max())[1]))
+        frac = max(*fracs, finest, FRACTIONS.start)
         bias = np.round(np.ldexp(value.bias, frac))
         codes = [np.round(np.ldexp(w, frac - r.signal.fix.frac)) for w, r in zip(matrices, read, strict=True)]
         reach = np.abs(bias) + sum(np.abs(w).sum(1) * max(-r.lo, r.hi) for w, r in zip(codes, read, strict=True))
         if (most := float(reach.max())) > 2.0 ** (REAL if self.real else FLOAT32):
-            raise InputError(
+            raise Inexact(
                 f"{name}: its sum needs {int(np.ceil(np.log2(most)))} bits, more than the {FLOAT32} that float32 holds "
                 "exactly; give the Quants of its weights, its bias or its inputs fewer bits"
             )
@@ -293,7 +325,8 @@ class _Declared:
         return exact[0] if exact else most
 
 
-KINDS = {"quant": "quant", "relu": "relu", "tansig": "later", "logsig": "later", "output": "output"}
+KINDS = {"tansig": "later", "logsig": "later", "hardlim": "sign", "hardlims": "sign"}
+"""Kind of a step -> the method that declares it, if it has another name."""
 
 
 def _bits(name: str, numbers: np.ndarray) -> int:
@@ -302,7 +335,7 @@ def _bits(name: str, numbers: np.ndarray) -> int:
         codes = np.ldexp(numbers, bits)
         if np.array_equal(codes, np.floor(codes)):
             return bits
-    raise InputError(f"{name}: a weight or a bias is on no grid; put a Quant behind each constant")
+    raise Inexact(f"{name}: a weight or a bias is on no grid; put a Quant behind each constant")
 
 
 def _picks(value: Value) -> bool:

@@ -141,7 +141,7 @@ class Source:
             try:
                 program = compile_declared(quantized, records, self.training, self.period).program
             except InputError as error:  # the float network can be used nevertheless
-                return Beside("the program", why=f"no program is exact ({error})")
+                return Beside("the program", why=f"there is no program ({error})")
             given = [{p.name: p.held(inputs[p.name]) for p in program.inputs} for inputs in given]
             rounded = partial(_outputs, program)
         found = [b for inputs in given if (b := compared(self.name, inputs, rounded))]

@@ -744,6 +744,17 @@ def test_a_loop_of_known_length_over_a_window_is_written_out(tmp_path):
     right(repeated(3), tmp_path)
 
 
+@pytest.mark.parametrize("op", ["Loop", "If"])
+def test_a_graph_inside_that_reads_constants_alone_keeps_their_type(op, tmp_path):
+    found = [c for c in cases(OPSETS[0]) if c.name == f"of constants: {op}"]
+    assert [judged(case, tmp_path / "case.onnx")[0] for case in found] == ["right"]
+
+
+def test_a_scan_of_opset_8_whose_batches_the_converter_loses_is_refused(tmp_path):
+    (case,) = (c for c in node_cases() if c.name == "test_scan_sum")
+    assert "Scan of opset 8 has batches" in refusal(case.model, tmp_path)
+
+
 @pytest.mark.parametrize("chosen", [True, False])
 def test_the_branch_of_a_known_condition_is_taken(chosen, tmp_path):
     shown = helper.make_tensor_value_info("z", 1, None)

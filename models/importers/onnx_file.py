@@ -22,6 +22,7 @@ FIELDS = 1 << 19  # of a file: each may become an object of some hundred bytes
 NODES = 1_000  # operations, those inside functions each time that they are called
 ELEMENTS = 1 << 22  # numbers that all constants together may have: as many as the weights of the largest file
 STANDARD = ("", "ai.onnx")
+SCANS = 9  # the opset since which Scan has no batches
 QONNX = ("qonnx.custom_op.general", "finn.custom_op.general", "onnx.brevitas")
 """Domains of Quant nodes."""
 
@@ -66,6 +67,8 @@ def _newer(model: "onnx.ModelProto", opset: int, path: Path) -> "onnx.ModelProto
     """The model in opset OLDEST, by onnx's own converter."""
     from onnx import load_model_from_string
 
+    if opset < SCANS and any(getattr(m, "op_type", "") == "Scan" for m in messages(model.graph)):
+        raise InputError(f"{path}: Scan of opset {opset} has batches, which the converter loses: export it in {OLDEST}")
     ends = [*model.graph.input, *model.graph.output]
     free = {t.name: t.SerializeToString() for t in ends}
     for tensor in ends:  # the converter wants lengths

@@ -42,6 +42,7 @@ Kind = TypeVar("Kind", bound=Builder)
 ALONG = {"Conv", "AveragePool", "MaxPool", "GlobalAveragePool", "GlobalMaxPool"}
 STAYING = {"Add", "BatchNormalization", "Cast", "Div", "Identity", "Mul", "Pad", "Relu", "Sub", "Tanh"}  # of axes
 SEQUENCE = 3  # axes of what these take along time: batch, channels, time
+GRAPHS = ("Scan", "Loop", "If")  # they hold graphs, which read more numbers than are given to them
 MICROSOFT = "com.microsoft"  # onnxruntime's own domain: QuantizeLinear to 16 bits, before opset 21
 PORTS = 4096  # numbers of an input, an output or a state in one step
 NOTHING = 1e-12  # a length that is as good as 0
@@ -339,6 +340,7 @@ class _Walk:
         found = list(made) if isinstance(made, list | tuple) else [made]
         if fixed and given:
             kind = max((v.dtype for v in given if v is not None), key=lambda t: t.kind == "f")  # of codes and a scale
+            kind = np.dtype(float) if node.op_type in GRAPHS else kind
             found = [v if isinstance(v, np.ndarray) or v.constant is None else v.constant.astype(kind) for v in found]
         return found
 

@@ -214,7 +214,7 @@ def scan(walk: Any, *given: Value, body: Any, num_scan_inputs: int, **options: A
 def loop(walk: Any, *_: Value, body: Any) -> list[Any]:
     """Every pass of the body written out; their number must be known. Keras writes a layer over a window so."""
     (limit, on), held = _known(walk, walk.node.input[:2]), [walk.scope[n] for n in walk.node.input[2:]]
-    rows: list[list[Value]] = []
+    rows: list[list[Any]] = []
     while (on is None or bool(on)) and (limit is None or len(rows) < int(limit)):
         if len(rows) == LONGEST_DELAY:
             raise walk.refused(f"it runs more than {LONGEST_DELAY} times; export the model with a shorter window")
@@ -222,8 +222,15 @@ def loop(walk: Any, *_: Value, body: Any) -> list[Any]:
         if isinstance(on, Value):
             raise walk.refused(UNTOLD)
         held = found[: len(held)]
-        rows.append([_value(v) for v in found[len(held) :]])
-    return [*held, *(stacked(part, 0) for part in zip(*rows, strict=True))]
+        rows.append(found[len(held) :])
+    return [*held, *(_joined(part) for part in zip(*rows, strict=True))]
+
+
+def _joined(passes: Sequence[Any]) -> Any:
+    """What passes give, along an axis of their own; constants stay arrays of their type."""
+    if all(isinstance(v, np.ndarray) for v in passes):
+        return np.stack(passes)
+    return stacked([_value(v) for v in passes], 0)
 
 
 def branch(walk: Any, _: Value, then_branch: Any, else_branch: Any) -> list[Any]:

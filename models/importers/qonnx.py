@@ -16,7 +16,8 @@ ROUNDINGS: Mapping[str, tuple[str, Callable]] = {
     "FLOOR": ("truncate", np.floor),
 }
 """rounding_mode of a Quant node -> the rounding of the integer program that is the same, and NumPy's."""
-WIDEST = 24  # bits of a Quant node: what float32, in which QONNX computes, holds
+WIDEST = 24  # bits of a signal's Quant node: what float32, in which QONNX computes, holds
+CONSTANT = 32  # of a constant's: Brevitas gives a bias so many
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Format:
 class Step(NamedTuple):
     """A signal that is computed: its name, that of a layer of the network; what of; and the exact sum that it reads.
 
-    kind: "quant", which has a format; "relu", "tansig", "logsig"; "output".
+    kind: "quant", which has a format; "relu"; an activation of CURVES; "output".
     """
 
     name: str
@@ -54,6 +55,10 @@ class Quantized(NamedTuple):
     network: Network
     steps: tuple[Step, ...]
     real: bool = False
+
+
+CURVES = ("tansig", "logsig", "hardlim", "hardlims")
+"""Activations that are carried beside Quant nodes."""
 
 
 class Declaring(Builder):
@@ -75,14 +80,24 @@ class Declaring(Builder):
         return Value(value.shape, np.zeros(value.size), {(name, 0): np.eye(value.size)})
 
     def rectified(self, value: Value, slope: Number = 0.0, hint: str = "relu") -> Value:
-        if np.any(slope):
-            _cannot(hint)
-        return self._noted("relu", value, super().rectified(value, 0.0, hint))
+        found = self._noted("relu", value, super().selected(value, value, value.times(0.0), hint))
+        return found.times(1.0 - slope).plus(value.times(slope)) if np.any(slope) else found
 
     def activated(self, value: Value, activation: str, hint: str) -> Value:
-        if activation not in ("tansig", "logsig"):
+        if activation == "satlin":
+            return self.clipped(value, 0.0, 1.0, hint)
+        if activation not in CURVES:
             _cannot(hint)
         return self._noted(activation, value, super().activated(value, activation, hint))
+
+    def selected(self, condition: Value, above: Value, below: Value, hint: str) -> Value:
+        _cannot(hint)
+
+    def maximum(self, a: Value, b: Value, hint: str) -> Value:
+        return self.rectified(a.plus(b.times(-1.0)), hint=hint).plus(b)
+
+    def minimum(self, a: Value, b: Value, hint: str) -> Value:
+        return self.rectified(a.plus(b.times(-1.0)), hint=hint).times(-1.0).plus(a)
 
     def product(self, a: Value, b: Value, hint: str = "product") -> Value:
         if a.constant is None and b.constant is None:
@@ -90,7 +105,31 @@ class Declaring(Builder):
         return super().product(a, b, hint)
 
     def clipped(self, value: Value, low: Number | None, high: Number | None, hint: str = "clip") -> Value:
-        _cannot(hint)
+        if (narrower := self._narrower(value, low, high, hint)) is not None:
+            return narrower
+        if low is not None:
+            value = self.maximum(value, constant(np.asarray(low, float)), hint)
+        return value if high is None else self.minimum(value, constant(np.asarray(high, float)), hint)
+
+    def _narrower(self, value: Value, low: Number | None, high: Number | None, hint: str) -> Value | None:
+        """The signal of a Quant node limited to fewer of its codes; None where a value is none, or an end no code."""
+        forms = {step.name: step.format for step in self.steps if step.format}
+        if len(value.weights) != 1 or (key := next(iter(value.weights)))[0] not in forms:
+            return None
+        form, factor, offset = forms[key[0]], value.weights[key][0, 0], value.bias[0]
+        same = np.array_equal(value.weights[key], np.eye(value.size) * factor) and (value.bias == offset).all()
+        if form is None or not same or factor <= 0:
+            return None
+        ends = [
+            last if end is None else float(np.clip((end - offset) / factor * 2.0**form.frac, form.lo, form.hi))
+            for end, last in ((low, form.lo), (high, form.hi))
+        ]
+        if any(end % 1 for end in ends) or ends[0] >= ends[1]:
+            return None
+        lo, hi = (int(end) for end in ends)
+        limited = Format(_width(lo, hi), form.frac, lo, hi, form.rounding)
+        plain = Value(value.shape, np.zeros(value.size), {key: np.eye(value.size)})
+        return self.quantized(plain, limited, hint).times(factor).plus(constant(offset))
 
     def state(self, hint: str, initial: np.ndarray) -> tuple[str, Value]:
         _cannot(hint)
@@ -109,8 +148,9 @@ class Declaring(Builder):
 
 def _cannot(hint: str) -> NoReturn:
     raise InputError(
-        f"{hint}: beside Quant nodes a network carries sums, products with constants, Relu, Tanh and Sigmoid; "
-        "replace it by a Quant with its limits, or export without Quant nodes"
+        f"{hint}: beside Quant nodes a network carries sums, products with constants, limits, maxima, Relu, Tanh and "
+        "Sigmoid; "
+        "replace it by one of them, or export without Quant nodes"
     )
 
 
@@ -129,32 +169,43 @@ def _quant(
         raise walk.refused(
             f"rounding_mode {shown(rounding_mode)}; the hardware has ROUND and FLOOR, choose one of them"
         )
-    if walk.fixed(zero, "the zero point").any():
-        raise walk.refused("a zero point that is not 0; export with symmetric quantization")
-    widths, steps = walk.fixed(bits, "the bit width").ravel(), walk.fixed(scale, "the scale")
-    width = int(widths[0])
-    least = 1 if x.constant is not None else 1 + signed
-    if (widths != width).any() or not least <= width <= WIDEST:
-        raise walk.refused(f"bit width {widths[0]:g}; give one whole number from {least} to {WIDEST}")
+    widths, steps, point = (
+        walk.fixed(*v) for v in ((bits, "the bit width"), (scale, "the scale"), (zero, "the zero point"))
+    )
+    width, most = int(widths.ravel()[0]), CONSTANT if x.constant is not None else WIDEST
+    if (widths != width).any() or not 1 <= width <= most:
+        raise walk.refused(f"bit width {widths.ravel()[0]:g}; give one whole number from 1 to {most}")
     lo, hi = _codes(width, signed, narrow)
     if hi <= lo and width > 1:
         raise walk.refused("one bit of a narrow range holds only 0; give it two")
     if not (steps > 0).all():
         raise walk.refused(f"its scale is {steps.min():g}; give it a positive one")
-    real = not (np.frexp(steps)[0] == 0.5).all()  # np.frexp gives a mantissa from 0.5 to 1
+    if (point % 1).any() or (x.constant is None and (point != point.flat[0]).any()):
+        raise walk.refused(f"zero point {point.flat[0]:g}; give a signal one whole number")
+    one = steps.size and (steps == steps.flat[0]).all()
+    real = not one or not (np.frexp(steps)[0] == 0.5).all()  # np.frexp gives a mantissa from 0.5 to 1
     walk.builder.real |= real
+    if width == 1 and signed:  # Brevitas's 1 bit, as QONNX reads it
+        return _bipolar(walk, x, scale)
     rounding, numpys = mode
     if (found := x.constant) is not None:
-        if width == 1 and signed:  # Brevitas's 1 bit, as QONNX reads it
-            return constant(_ones(found) * steps)
-        return constant(numpys(np.clip(found / steps, lo, hi)) * steps)
-    if (steps != steps.flat[0]).any():
-        raise walk.refused("several scales for one signal, whose elements share a format; give it one scale")
+        return constant((numpys(np.clip(found / steps + point, lo, hi)) - point) * steps)
+    shift = int(point.flat[0])
+    if shift % 2 and not real and mode[0] == "half_even":  # midway between codes it goes to those even with the point
+        form = Format(_width(lo, hi), 0, lo, hi, rounding)
+        codes = walk.builder.quantized(x.times(1 / steps).plus(constant(point)), form, walk.hint)
+        return codes.plus(constant(-point)).times(steps)
+    lo, hi = lo - shift, hi - shift
     if real:
-        form = Format(width + (not signed), 0, lo, hi, rounding)
-        return walk.builder.quantized(x.times(1 / steps.flat[0]), form, walk.hint).times(steps.flat[0])
-    form = Format(width + (not signed), 1 - int(np.frexp(steps.flat[0])[1]), lo, hi, rounding)
+        form = Format(_width(lo, hi), 0, lo, hi, rounding)
+        return walk.builder.quantized(x.times(1 / steps), form, walk.hint).times(steps)
+    form = Format(_width(lo, hi), 1 - int(np.frexp(steps.flat[0])[1]), lo, hi, rounding)
     return walk.builder.quantized(x, form, walk.hint)
+
+
+def _width(lo: int, hi: int) -> int:
+    """Bits of two's complement that hold both codes; two at least."""
+    return max(2, 1 + max((~v if v < 0 else v).bit_length() for v in (lo, hi)))
 
 
 def quantized_linear(walk: Any, x: Value, scale: Value, zero: Value | None = None, axis: int = 1, **_: Any) -> Value:
@@ -166,7 +217,7 @@ def quantized_linear(walk: Any, x: Value, scale: Value, zero: Value | None = Non
     if not size > 0:
         raise walk.refused(f"its scale is {size:g}; give it a positive one")
     low, high = (int(v - shift) for v in _range(walk.node, walk.scope))
-    width = 1 + max((~low if low < 0 else low).bit_length(), high.bit_length())
+    width = _width(low, high)
     if np.frexp(size)[0] == 0.5:
         form = Format(width, 1 - int(np.frexp(size)[1]), low, high, "half_even")
         return walk.builder.quantized(x, form, walk.hint).times(1 / size).plus(constant(shift))
@@ -198,11 +249,13 @@ def quantized(node: Any, values: Mapping[str, np.ndarray], rounds: bool) -> np.n
             return (x - zero) * steps
         return np.clip((np.round(x / steps) if rounds else x / steps) + zero, *_range(node, values))
     options = {a.name: helper.get_attribute_value(a) for a in node.attribute}
+    if node.op_type == "BipolarQuant" or (int(np.ravel(rest[1])[0]), options.get("signed", 1)) == (1, 1):
+        return _ones(x) * steps
     lo, hi = _codes(int(np.ravel(rest[1])[0]), options.get("signed", 1), options.get("narrow", 0))
-    codes = np.clip(x / steps, lo, hi)
+    codes = np.clip(x / steps + rest[0], lo, hi)
     if rounds:
         codes = ROUNDINGS[options.get("rounding_mode", b"ROUND").decode().upper()][1](codes)
-    return codes * steps
+    return (codes - rest[0]) * steps
 
 
 def _codes(width: int, signed: int, narrow: int) -> tuple[int, int]:
@@ -213,10 +266,12 @@ def _codes(width: int, signed: int, narrow: int) -> tuple[int, int]:
 
 
 def _bipolar(walk: Any, x: Value, scale: Value) -> Value:
-    """Constants, such as 1-bit weights, become -1 and 1 times the scale."""
+    """-1 where it is negative, else 1, times the scale."""
+    steps = walk.fixed(scale, "the scale")
     if (found := x.constant) is not None:
-        return constant(_ones(found) * walk.fixed(scale, "the scale"))
-    raise walk.refused("-1 and 1 have no 0 between them; use a Quant of 2 bits with narrow = 1, which has -1, 0 and 1")
+        return constant(_ones(found) * steps)
+    walk.builder.real |= not (np.frexp(steps)[0] == 0.5).all()
+    return walk.builder.activated(x, "hardlims", walk.hint).times(steps)
 
 
 def _ones(values: np.ndarray) -> np.ndarray:

@@ -1,6 +1,8 @@
-"""Quantized networks by QKeras, as qonnx writes them: every answer of the program beside QKeras's own, and its Verilog.
+"""Quantized networks by QKeras and Brevitas: every answer of the program beside the tool's own, and its Verilog.
 
-Exit code 1 if a number or a bit differs, or a model is refused.
+QKeras has powers of two alone, and its answers are the program's in every bit. Brevitas computes with scales of any
+size in float32, which near a tie gives the code beside it. Exit code 1 if a bit of the Verilog differs, a model of
+QKeras is answered otherwise or refused, or one of Brevitas differs in more than NEAR of its numbers.
 """
 
 import subprocess
@@ -23,10 +25,12 @@ TAKES = "ten minutes"
 NEEDS = VERILATOR
 
 SEEN = 20  # steps in Verilator
+TOOLS = {"qkeras": 0.0, "brevitas": 2.0**-20}  # difference of an output's range that is none: of float32 sums
+NEAR = 0.05
 
 
-def beside(file: Path) -> tuple[dict, Case | None]:
-    """How many numbers differ from QKeras's, and the program's first steps."""
+def beside(file: Path, least: float) -> tuple[dict, Case | None]:
+    """How many numbers differ from the tool's, by how much of their range, and the program's first steps."""
     with np.load(file.with_suffix(".npz")) as told:
         x, y = told["x"].astype(float), told["y"].astype(float)
     try:
@@ -40,15 +44,17 @@ def beside(file: Path) -> tuple[dict, Case | None]:
     found = program.decode(answers.outputs)
     got = np.column_stack([found[p.name] for p in program.outputs])
     case = Case(program, {"run": Scenario(codes[:SEEN], answers.outputs[:SEEN], answers.states[:SEEN])}, "folded")
-    return {"numbers": y.size, "differing": int((got != y).sum())}, case
+    apart = np.abs(got - y) / max(float(np.ptp(y)), 1e-30)
+    return {"numbers": y.size, "differing": int((apart > least).sum()), "most": float(apart.max())}, case
 
 
-def main(*, python: Annotated[Path, "interpreter with benchmarks/qkeras.txt"]) -> int:
+def main(tool: Annotated[str, TOOLS], *, python: Annotated[Path, "interpreter with benchmarks/TOOL.txt"]) -> int:
     rows, counts = [], Counter()
     with scratch() as folder:
-        subprocess.run([python, ROOT / "benchmarks" / "qkeras_models.py", folder], check=True, capture_output=True)
+        made = [python, ROOT / "benchmarks" / f"{tool}_models.py", folder]
+        subprocess.run(made, check=True, stdout=subprocess.PIPE)
         for k, file in enumerate(sorted(folder.glob("*.onnx"))):
-            row, case = beside(file)
+            row, case = beside(file, TOOLS[tool])
             if case is not None:
                 row["bits"] = sum(bool(v.mismatch) for v in verify_many([case], folder / f"v{k}", seed=1).verdicts)
             rows.append({"model": file.stem, **row})
@@ -57,5 +63,7 @@ def main(*, python: Annotated[Path, "interpreter with benchmarks/qkeras.txt"]) -
             print(rows[-1], flush=True)
     total = {k: counts[k] for k in ("equal", "other", "refused", "verified")}
     print(total, flush=True)
-    keep("qkeras_exports", "models", {"models": len(rows), "total": total, "rows": rows}, "--python", "PYTHON")
-    return int(total["verified"] < len(rows) or bool(total["other"]))
+    keep("quantized_exports", tool, {"models": len(rows), "total": total, "rows": rows}, tool, "--python", "PYTHON")
+    worst = max((r["differing"] / r["numbers"] for r in rows if "numbers" in r), default=0.0)
+    wrong = any(r.get("bits") for r in rows) or worst > (NEAR if TOOLS[tool] else 0.0)
+    return int(wrong or (tool == "qkeras" and bool(counts["refused"])))
