@@ -38,6 +38,8 @@ REPORTED = tuple(
 def entry(name: str) -> Entry:
     """The entry of that name. Raises InputError naming those there are."""
     if name not in CATALOG:
+        if Path(name).is_file():
+            raise InputError(f"{name}: is no network; give an .onnx file, a .mat file, or NAME.toml beside its numbers")
         raise InputError(f"no network is called {name!r}; there are {', '.join(CATALOG)}, or give a NAME.toml file")
     return CATALOG[name]
 

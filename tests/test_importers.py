@@ -22,7 +22,7 @@ from greygate.errors import InputError
 from greygate.hardware.build import Project
 from greygate.machines.source import Source
 from greygate.models.importers import beside, pytorch
-from greygate.models.importers.files import _told, compared, load
+from greygate.models.importers.files import ELSEWHERE, _told, compared, load
 from greygate.models.importers.onnx_graph import from_onnx, imported
 from greygate.models.importers.pytorch import from_torch, to_torch
 from greygate.plants.recording import Recording
@@ -376,12 +376,20 @@ def test_a_step_with_another_number_of_results_is_refused():
 # -- files -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", ["pt", "pth", "pkl", "keras", "h5"])
-def test_a_file_that_may_hold_code_is_not_opened(tmp_path, ending):
-    path = tmp_path / f"model.{ending}"
+@pytest.mark.parametrize("ending", ELSEWHERE)
+def test_a_file_that_may_hold_code_is_not_opened_and_how_to_have_onnx_of_it_is_told(tmp_path, ending):
+    path = tmp_path / f"model{ending}"
     path.write_bytes(b"cos\nsystem\n(S'touch owned'\ntR.")
-    with pytest.raises(InputError, match="may hold code"):
+    with pytest.raises(InputError, match=f"may hold code.*{re.escape(ELSEWHERE[ending])}"):
         load(path)
+    code, _, err = greygate("compile", path, "--out", tmp_path / "build")
+    assert (code, ELSEWHERE[ending] in err) == (2, True)
+
+
+def test_a_file_that_is_no_network_is_told_from_a_name(tmp_path):
+    (tmp_path / "model.pmml").write_text("<PMML/>")
+    code, _, err = greygate("compile", tmp_path / "model.pmml", "--out", tmp_path / "build")
+    assert (code, "model.pmml: is no network; give an .onnx file" in err) == (2, True)
 
 
 @pytest.mark.parametrize("ending", ["onnx", "mat"])

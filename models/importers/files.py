@@ -16,13 +16,25 @@ from greygate.models.network import Network
 from greygate.reading import line, listed, named, read_toml, table
 
 ENDINGS = (".onnx", ".mat")
-CODE = (".pt", ".pth", ".pkl", ".pickle", ".keras", ".h5")
-"""Files that may hold code, or that only their own tool reads."""
+TORCH = "call greygate.from_torch in your program, or torch.onnx.export"
+SKLEARN = "write skl2onnx.to_onnx(model, X[:1]).SerializeToString() into an .onnx file"
+KERAS = "write model.export('model.onnx', format='onnx') in Keras 3, or tf2onnx.convert --keras"
+ELSEWHERE: Mapping[str, str] = {
+    **dict.fromkeys((".pt", ".pth", ".pt2", ".ckpt"), TORCH),
+    **dict.fromkeys((".pkl", ".pickle", ".joblib"), SKLEARN),
+    **dict.fromkeys((".keras", ".h5"), KERAS),
+    ".tflite": "write python -m tf2onnx.convert --tflite FILE --output model.onnx",
+    ".pb": "write python -m tf2onnx.convert --graphdef FILE --inputs x:0 --outputs y:0 --output model.onnx",
+    ".pdmodel": "write paddle2onnx --model_dir FOLDER --save_file model.onnx",
+    ".mlmodel": "write onnxmltools.convert_coreml",
+    ".nnet": "write it as ONNX by NNet's own writeNNet2ONNX",
+}
+"""Files that may hold code, or that only their own tool reads -> how to have ONNX of one."""
 
 
 def foreign(path: str) -> bool:
     """Whether a file of that name is read here, or refused here."""
-    return path.lower().endswith((*ENDINGS, *CODE))
+    return path.lower().endswith((*ENDINGS, *ELSEWHERE))
 
 
 def load(path: Path | str) -> Network:
@@ -32,10 +44,8 @@ def load(path: Path | str) -> Network:
     state = { h = "h_next" }. Raises InputError for a file that holds code, and as the importers.
     """
     path = Path(path)
-    if path.suffix.lower() in CODE:
-        raise InputError(
-            f"{path}: may hold code, or needs its own tool; call greygate.from_torch in your program, or export to ONNX"
-        )
+    if (how := ELSEWHERE.get(path.suffix.lower())) is not None:
+        raise InputError(f"{path}: may hold code, or needs its own tool; for ONNX of it {how}")
     if path.suffix.lower() == ".mat":
         return from_matlab(path)
     return from_onnx(path, **_told(path))
