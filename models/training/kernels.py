@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping
 from inspect import getfile, signature
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -40,59 +40,28 @@ def kernel(**options) -> Callable[[Callable], Callable]:
     return compiled
 
 
-@scalars.inlined
-def _no_value(kind, signals):  # pragma: no cover - compiled
-    raise ValueError("no such kind of activation")
+def _by_kind(given: str, wanted: str, functions: Mapping[int, Callable]) -> Callable:
+    """A compiled function of (kind, *given): it fills `wanted` by the function of that kind, in a vectorizable loop.
+
+    given: names of arrays of one layer; a function reads as many of the first as it takes beside `scalars`. One chain
+    of `elif`, because numba copies what it inlines: functions within functions it would copy once a level.
+    """
+    text = [f"def chosen(kind, {given}):"]
+    for own, function in functions.items():
+        read = given.split(", ")[: len(signature(function).parameters) - 1]
+        text += [f"    {'elif' if text[1:] else 'if'} kind == {own}:", f"        for o in range(len({wanted})):"]
+        text += [f"            {wanted}[o] = f{own}(scalars, {', '.join(f'{name}[o]' for name in read)})"]
+    text += ["    else:", "        raise ValueError('no such kind of activation')"]
+    names: dict[str, Any] = {f"f{own}": scalars.inlined(function) for own, function in functions.items()}
+    names["scalars"] = scalars
+    exec("\n".join(text), names)
+    return scalars.inlined(names["chosen"])
 
 
-@scalars.inlined
-def _no_slope(kind, signals, sums, slopes):  # pragma: no cover - compiled
-    raise ValueError("no such kind of activation")
-
-
-def _values_of(own: int, function: Callable, otherwise: Callable) -> Callable:
-    """A compiled function that takes kind `own` by `function` of (scalars, n), in a loop that can be vectorized."""
-    function = scalars.inlined(function)
-
-    @scalars.inlined
-    def values(kind, signals):  # pragma: no cover - compiled
-        if kind == own:
-            for o in range(len(signals)):
-                signals[o] = function(scalars, signals[o])
-        else:
-            otherwise(kind, signals)
-
-    return values
-
-
-def _slopes_of(own: int, function: Callable, otherwise: Callable) -> Callable:
-    """The same for the slopes, of (scalars, y) or (scalars, y, n)."""
-    function, takes = scalars.inlined(function), len(signature(function).parameters)
-
-    @scalars.inlined
-    def of_y(kind, signals, sums, slopes):  # pragma: no cover - compiled
-        if kind == own:
-            for o in range(len(signals)):
-                slopes[o] = function(scalars, signals[o])
-        else:
-            otherwise(kind, signals, sums, slopes)
-
-    @scalars.inlined
-    def of_both(kind, signals, sums, slopes):  # pragma: no cover - compiled
-        if kind == own:
-            for o in range(len(signals)):
-                slopes[o] = function(scalars, signals[o], sums[o])
-        else:
-            otherwise(kind, signals, sums, slopes)
-
-    return of_y if takes == 2 else of_both
-
-
-_values: Callable = _no_value  # of (kind, signals of a layer): in place, pre-activations become outputs
-_slopes: Callable = _no_slope  # of (kind, signals, sums, slopes of a layer)
-for _kind, _entry in reversed(list(enumerate(ACTIVATIONS.values()))):  # the first is tried first
-    _values = _values if _kind in (SELECT, PRODUCT) else _values_of(_kind, _entry.value, _values)
-    _slopes = _slopes_of(_kind, _entry.slope, _slopes)
+_values = _by_kind(  # of a layer's signals: in place, pre-activations become outputs
+    "signals", "signals", {k: a.value for k, a in enumerate(ACTIVATIONS.values()) if k not in (SELECT, PRODUCT)}
+)
+_slopes = _by_kind("signals, sums, slopes", "slopes", {k: a.slope for k, a in enumerate(ACTIVATIONS.values())})
 
 
 class Tables(NamedTuple):
