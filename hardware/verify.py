@@ -330,7 +330,8 @@ def simulator_environment() -> dict[str, str]:
 
 
 DUMP = "dump.vcd"
-RUNTIME = ("verilated.o", "verilated_vpi.o", "verilated_threads.o")  # the same for every design
+RUNTIME = ("verilated.o", "verilated_dpi.o", "verilated_vpi.o", "verilated_threads.o")  # the same for every design
+MAIN = ("verilator.o",)  # cocotb's, the same for every design of one Vtop.h
 OPTIONS = ("OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
 
 
@@ -359,11 +360,14 @@ def build(files: Sequence[str], work: Path, folder: Path, environment: dict[str,
         work,
     )
     cache = runtime_cache(environment, waves)
+    main = cache / hashlib.sha256((work / "Vtop.h").read_bytes()).hexdigest()[:16]
     borrow_runtime(cache, work)
+    borrow_runtime(main, work, MAIN)
     jobs = str(os.cpu_count() or 1)
     make = ["make", "-j", jobs, "-f", "Vtop.mk", f"VM_TRACE={int(waves)}", *OPTIONS]
     run_logged(make, folder / "make.log", environment, work)
     keep_runtime(cache, work)
+    keep_runtime(main, work, MAIN)
 
 
 def borrow_runtime(cache: Path, work: Path, names: Sequence[str] = RUNTIME) -> None:
@@ -373,9 +377,9 @@ def borrow_runtime(cache: Path, work: Path, names: Sequence[str] = RUNTIME) -> N
             shutil.copy(cache / name, work / name)
 
 
-def keep_runtime(cache: Path, work: Path) -> None:
+def keep_runtime(cache: Path, work: Path, names: Sequence[str] = RUNTIME) -> None:
     """Copy the runtime's objects that make built to the cache."""
-    for name in RUNTIME:
+    for name in names:
         if (work / name).exists() and not (cache / name).exists():
             with suppress(OSError, InputError):  # a cache that cannot be written only costs time
                 cache.mkdir(parents=True, exist_ok=True)
@@ -384,9 +388,10 @@ def keep_runtime(cache: Path, work: Path) -> None:
 
 
 def runtime_cache(environment: dict[str, str], waves: bool) -> Path:
-    """Folder of the runtime's objects for this Verilator, compiler and options."""
+    """Folder of the runtime's objects for this Verilator, cocotb, compiler and options."""
     compiler = children.ran(["g++", "--version"]).stdout
-    key = hashlib.sha256(repr((environment["VERILATOR_ROOT"], version("verilator"), compiler, OPTIONS, waves)).encode())
+    tools = environment["VERILATOR_ROOT"], version("verilator"), version("cocotb"), compiler
+    key = hashlib.sha256(repr((*tools, OPTIONS, waves)).encode())
     return (caches.folder() or Path(os.devnull)) / f"verilator-{key.hexdigest()[:16]}"
 
 
