@@ -55,8 +55,8 @@ def called(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
     "words",
     [
         "look {given}/r.mat --unit u=V --unit y=m",
-        "identify {given}/a.csv --input u --output y --seconds 3 --jobs 2 --out found",
-        "diagnose {given}/fast {given}/clean --jobs 2",
+        "identify {given}/a.csv --input u --output y --seconds 1 --jobs 2 --out found",
+        "diagnose {given}/fast {given}/clean --seconds 1 --jobs 2",
         "verify built",
     ],
 )
@@ -173,7 +173,7 @@ def test_a_rig_whose_process_dies_twice_is_told_and_the_others_are_written(given
     monkeypatch.setattr(explain, "_attempt", Deadly(explain._attempt))
     shutil.copytree(given / "clean", tmp_path / "rigs" / "second")
     rigs = [given / "fast", given / "clean", tmp_path / "rigs" / "second"]
-    code, printed, error = greygate("diagnose", *rigs, "--jobs", 2, "--out", tmp_path)
+    code, printed, error = greygate("diagnose", *rigs, "--jobs", 2, "--seconds", 1, "--out", tmp_path)
     assert (code, "Traceback" in error) == (2, False)
     assert "fast: not diagnosed: a process of the work was killed twice" in printed + error
     assert sorted(p.name for p in tmp_path.glob("*.json")) == ["clean.json", "second.json"]

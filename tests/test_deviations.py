@@ -13,6 +13,8 @@ from greygate.models.network import Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 
+pytestmark = pytest.mark.usefixtures("alone")
+
 
 def test_deviations_are_the_spread_of_weights_that_are_fitted_again_and_again():
     start, u = nfir("taps", {Port("u"): (0, 1)}, Port("y")), np.random.default_rng(0).normal(size=200)

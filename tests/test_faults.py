@@ -31,6 +31,8 @@ from greygate.models.training.levenberg import Checkpoint, Outcome, Trained
 from greygate.pages import report
 from greygate.project import compile_project
 
+pytestmark = pytest.mark.usefixtures("alone")
+
 pytestmark = pytest.mark.nightly
 
 ALL = os.environ.get("GREYGATE_FAULTS") == "all"

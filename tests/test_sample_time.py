@@ -29,6 +29,8 @@ from greygate.models.training.record import Record
 from greygate.models.validation import validate
 from greygate.plants.recording import read_csv
 
+pytestmark = pytest.mark.usefixtures("alone")
+
 CASE = Path("/work/shared/cases/sample_time")
 U, Y = Port("u", "V"), Port("y", "m")
 

@@ -21,6 +21,8 @@ from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
 
+pytestmark = pytest.mark.usefixtures("alone")
+
 POLE, NOISE = 0.9, 0.002
 
 
@@ -90,11 +92,11 @@ def test_drawing_keeps_library_networks_and_refuses_what_has_no_neurons():
 def test_a_recording_from_rest_settles_in_no_sample_and_one_that_is_not_in_what_its_pole_takes():
     line = noe("line", {Port("u"): (1,)}, Port("y"), (1,))
     assert settling(line, {"rest": record(1)}).samples == 0
-    found = settling(line, {"rest": record(1), "away": record(2, 5.0, samples=2000)})
+    found = settling(line, {"rest": record(1), "away": record(2, 5.0, samples=1000)})
     assert "y of away begins" in found.why
     assert found.samples == 40  # a tenth of the shorter one
     takes = np.log(0.01) / np.log(POLE)
-    assert settling(line, {"away": record(2, 5.0, samples=2000)}).samples == pytest.approx(takes, rel=0.4)
+    assert settling(line, {"away": record(2, 5.0, samples=1000)}).samples == pytest.approx(takes, rel=0.4)
 
 
 def test_a_training_settles_by_itself_and_says_so(greygate, folder):

@@ -98,7 +98,7 @@ def test_a_system_without_posix_is_one(given):
         "compile line.toml a.csv --architecture parallel --out built",
         "emulate built a.csv --out predicted.csv",
         "simulate rig rig/{recording} --out simulated.csv",
-        "identify bent.csv --input u --output y --seconds 10 --jobs 2 --out found",
+        "identify bent.csv --input u --output y --seconds 5 --jobs 2 --out found",
         "doctor",
     ],
 )
