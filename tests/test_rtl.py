@@ -307,6 +307,25 @@ def test_a_missing_compiler_is_named(tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
+def test_what_is_the_same_in_every_simulation_is_compiled_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    objects, compiled = (*verification.RUNTIME, *verification.MAIN), []
+
+    def tool(command, log, environment, where):
+        if command[0] == "verilator":
+            (where / "Vtop.h").write_text(where.name[0])
+            return
+        compiled.append([name for name in objects if not (where / name).exists()])
+        for name in objects:
+            (where / name).touch()
+
+    monkeypatch.setattr(verification, "run_logged", tool)
+    for name in ("a1", "a2", "b1"):
+        (tmp_path / name).mkdir()
+        verification.build(["a.v"], tmp_path / name, tmp_path, simulator_environment(), waves=False)
+    assert compiled == [[*objects], [], [*verification.MAIN]]
+
+
 def test_a_folder_whose_name_make_cannot_read_holds_what_a_verification_found(tmp_path):
     folder = tmp_path / "a folder; $(touch ran)"
     p = ring("ring")
