@@ -55,6 +55,7 @@ def shortened(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(halving, "LEADING", 2)
     patch.setattr(halving, "FORMS", [f for f in FORMS if f.before == 3 or f.inside == 3][:3])
     patch.setattr(halving, "BASES", 1)
+    patch.setattr(halving, "AGAIN", 1)
     patch.setattr(halving, "RUNGS", (halving.Rung(9, 1, 10, 4000, 2, 1.0), halving.Rung(3, 1, 100, 8000, 1, 1.0)))
 
 
