@@ -357,7 +357,7 @@ def test_the_hardware_of_models_that_round_is_that_of_the_emulator_in_every_bit(
     x = np.random.default_rng(7).normal(size=(N, 3)).astype(np.float32)
     files = [static(tmp_path, x, each, signed) for each in (False, True) for signed in (False, True)]
     files += [linear(name, tmp_path / f"{name}.onnx") for name in ("uint8 above", "int8 below")]
-    for k, of in enumerate((rectified, CARRIED["tanh"], scaled, binary)):
+    for k, of in enumerate((rectified, CARRIED["tanh"], scaled, binary, bipolar, limited, shifted, unrounded)):
         model = Model(k)
         files.append(model.saved(tmp_path / f"m{k}.onnx", of(model)))
     cases = []
