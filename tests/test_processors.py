@@ -26,9 +26,8 @@ ROOT = Path(__file__).parents[1]
 EPS = np.finfo(float).eps
 
 
-@pytest.mark.parametrize(
-    "network", ["b2 pruned", pytest.param("emps", marks=pytest.mark.nightly)], ids=["pruned", "measured"]
-)
+@pytest.mark.nightly  # beside `make test-old`
+@pytest.mark.parametrize("network", ["b2 pruned", "emps"], ids=["pruned", "measured"])
 def test_builds_are_the_same_bytes_under_other_kernels_of_blas_and_numpy(network):
     try:
         entry(network.partition(" ")[0]).records()
