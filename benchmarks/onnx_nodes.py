@@ -11,7 +11,7 @@ from typing import Annotated
 import onnx
 from onnx_cases import AGREED, OPSETS, Case, cases, judged, node_cases
 
-from greygate.models.importers.onnx_graph import FUNCTIONS
+from greygate.models.importers.onnx_operations import FUNCTIONS
 
 from .made import keep
 from .shared import scratch

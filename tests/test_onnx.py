@@ -11,7 +11,8 @@ from onnx_cases import ML, OPSETS, Case, X, built, cases, f, i, judged, node_cas
 from greygate.errors import InputError
 from greygate.models.importers import onnx_file
 from greygate.models.importers.beside import beside
-from greygate.models.importers.onnx_graph import FUNCTIONS, from_onnx, imported
+from greygate.models.importers.onnx_graph import from_onnx, imported
+from greygate.models.importers.onnx_operations import FUNCTIONS
 
 THINNED = 61  # of the choices of options: a prime, so that every operator is met
 NODES = 3  # likewise of the node tests of the onnx package
@@ -531,9 +532,7 @@ def test_an_input_that_is_not_of_floats_is_refused(tmp_path):
 
 def test_what_does_not_answer_as_its_model_is_not_given(tmp_path, monkeypatch):
     """An operator that is carried wrongly, whichever it is, is found by ONNX's own reference."""
-    from greygate.models.importers import onnx_graph
-
-    monkeypatch.setitem(onnx_graph.FUNCTIONS, "Neg", lambda walk, x: x.times(-1.00001))
+    monkeypatch.setitem(FUNCTIONS, "Neg", lambda walk, x: x.times(-1.00001))
     assert "does not answer as the model" in refusal(one("Neg", [3], opset=18), tmp_path)
 
 
