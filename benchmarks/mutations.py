@@ -147,8 +147,8 @@ NAMED = {  # what it is: (file, old, new); old stands there once
     ),
     "a slope is taken beyond its bound": (
         "mismatch/fit.py",
-        "(-1 if value + STEP * u.scale > u.high else 1)",
-        "1",
+        "size *= -1 if value + size > u.high else 1",
+        "pass",
     ),
     "a step goes beyond its bound": ("mismatch/fit.py", "return np.clip(step, *self.room.T)", "return step"),
     "a plan is not moved on": ("control/predictive.py", "self.plan = self._moved_on @ self.plan", "pass"),
