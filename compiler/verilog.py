@@ -1,7 +1,7 @@
 """What all architectures write alike: names, numbers, instances, tables, the stream at the edge (Verilog-2005)."""
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields as dataclass_fields
 from functools import cache
 from pathlib import Path
@@ -24,6 +24,7 @@ from greygate.emulator.program import (
 )
 from greygate.emulator.tables import Lines, Segments, Symmetry, Table
 from greygate.errors import InputError, one_line
+from greygate.names import CORE_NAMES, CORE_PORTS, KEYWORDS
 
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
 LOOKUP_CLOCKS = 3  # clocks from a code to the answer of a table: word, product, sum
@@ -32,31 +33,21 @@ LATE_CLOCKS = 4  # clocks of a table with a register behind the memory
 MEMORIES = {"block": '(* rom_style = "block" *) ', "logic": '(* rom_style = "logic" *) '}  # and how a tool is told
 LONGEST = 110  # characters of a line of items
 SYMMETRY = {Symmetry.ODD: 0, Symmetry.EVEN: 1, Symmetry.COMPLEMENT: 2}
-PORTS = (
-    "clk",
-    "rst",
-    "s_axis_tdata",
-    "s_axis_tvalid",
-    "s_axis_tready",
-    "m_axis_tdata",
-    "m_axis_tvalid",
-    "m_axis_tready",
-)
-TAKEN = (*PORTS, "DEPTH", "en", "skid", "stream", "sample", "start", "done", "ready", "result", "stage", "unused")
 TEMPLATES = Path(__file__).with_name("templates")
-# of Verilog-2005, and those of SystemVerilog that tools trip over
-KEYWORDS = frozenset((TEMPLATES / "keywords.txt").read_text(encoding="utf-8").split())
 TOOLS = "verilator synopsys synthesis pragma ambit cadence synplify altera xilinx vcs coverage lint translate"
 DIRECTIVE = re.compile(rf"\W*({'|'.join(TOOLS.split())})", re.IGNORECASE)  # how a comment begins that a tool obeys
 
 
 def verilog_names(program: Program) -> dict[str, str]:
-    """Every signal's name in Verilog: the program's own, with "__" for "."; raises InputError where that fails."""
-    names = {s: s.replace(".", "__") for s in program.signals}
+    """Every signal's name in Verilog: the program's own, with "__" for ".", or longer by a word where it is taken.
+
+    Raises InputError where that fails.
+    """
+    names = {s: _free(s.replace(".", "__")) for s in program.signals}
     tables = [(t.name, table_module(program, t)) for t in program.tables]
     for original, name in [(program.name, program.name), *names.items(), *tables]:
         _holdable(original, name)
-    taken = dict.fromkeys((*TAKEN, program.name), "a port or part of the core")
+    taken = dict.fromkeys((*CORE_NAMES, program.name), "a port or part of the core")
     for original, name in names.items():
         for used in (name, f"{name}_layer"):
             if used in taken:
@@ -70,12 +61,14 @@ def verilog_names(program: Program) -> dict[str, str]:
     return names
 
 
-def check_ports(names: Iterable[str]) -> None:
-    """Raise InputError for a name that no port of a program can have in Verilog."""
-    for name in names:
-        _holdable(name, name)
-        if name in TAKEN:
-            raise InputError(f"{name}: its name in Verilog is also that of a port or part of the core; rename it")
+def check_top(name: str) -> None:
+    """Raise InputError for a name that no program can have in Verilog."""
+    _holdable(name, name)
+
+
+def _free(name: str) -> str:
+    taken = name in KEYWORDS or name in CORE_NAMES or name.startswith("greygate_")
+    return f"{name}_signal" if taken else name
 
 
 def _holdable(original: str, name: str) -> None:
@@ -408,13 +401,13 @@ def result_text(lanes: Sequence[str]) -> str:
 
 def stream_instance(width_in: int, width_out: int) -> str:
     """The edge of the core."""
-    ports = {p: p for p in PORTS} | {"ready": "1'b1"} | {p: p for p in ("sample", "start", "done", "result")}
+    ports = {p: p for p in CORE_PORTS} | {"ready": "1'b1"} | {p: p for p in ("sample", "start", "done", "result")}
     return instance("greygate_stream", "stream", {"IN_W": width_in, "OUT_W": width_out}, ports)
 
 
 def skid_instance(width: int, beat: str, valid: str, take: str) -> str:
     """The entry of a core, which answers with a register. beat, valid, take: names of wires."""
-    ports = {p: p for p in PORTS if not p.startswith("m_axis")} | {"beat": beat, "valid": valid, "take": take}
+    ports = {p: p for p in CORE_PORTS if not p.startswith("m_axis")} | {"beat": beat, "valid": valid, "take": take}
     return instance("greygate_skid", "skid", {"W": width}, ports)
 
 

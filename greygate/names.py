@@ -6,6 +6,7 @@ Code that writes a name (into Verilog, a path, a page) escapes it once more.
 
 import re
 import unicodedata
+from pathlib import Path
 from typing import TypeGuard
 
 from greygate.errors import InputError, shown
@@ -14,6 +15,34 @@ LONGEST_NAME = 100  # characters: a program's name and a signal's name together 
 LONGEST_UNIT = 40  # characters
 LONGEST_TEXT = 500  # characters of a note, a title or a scenario
 LONGEST_FILE = 238  # characters: file systems take 255, of which `..greygate-commit` (files.py) takes 17
+
+KEYWORDS = frozenset(Path(__file__).with_name("keywords.txt").read_text(encoding="utf-8").split())
+"""Of Verilog-2005, and those of SystemVerilog that tools trip over."""
+CORE_PORTS = (
+    "clk",
+    "rst",
+    "s_axis_tdata",
+    "s_axis_tvalid",
+    "s_axis_tready",
+    "m_axis_tdata",
+    "m_axis_tvalid",
+    "m_axis_tready",
+)
+CORE_NAMES = (
+    *CORE_PORTS,
+    "DEPTH",
+    "en",
+    "skid",
+    "stream",
+    "sample",
+    "start",
+    "done",
+    "ready",
+    "result",
+    "stage",
+    "unused",
+)
+"""What the core of every design has already: no signal is called so."""
 
 PART = r"[A-Za-z_][A-Za-z0-9_]*"
 

@@ -17,6 +17,7 @@ from programs import cylinder_program, make_table, random_codes, random_program
 from greygate import children, rtl
 from greygate.compiler.emit import emit
 from greygate.compiler.targets import Design
+from greygate.compiler.verilog import verilog_names
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.numbers import Fix, Overflow, Rounding
 from greygate.emulator.program import Affine, Clamp, Lookup, Program, Select, Signal, State, Terminal, Threshold
@@ -274,9 +275,7 @@ def test_equal_tables_share_one_module_and_layers_keep_their_names(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("always", "always: not a name that Verilog can hold"),
         ("2nd", "signal '2nd': a name has letters a to z, digits and _, no digit first"),
-        ("clk", "its name in Verilog is also that of a port"),
         ("u__x", "its name in Verilog is also that of u.x"),
     ],
 )
@@ -285,6 +284,18 @@ def test_a_name_that_verilog_cannot_hold_is_refused_before_anything_is_written(t
     with pytest.raises(InputError, match=re.escape(message)):
         emit(program("named", [u], [affine(y, "u.x", 1, 0, 4)]), tmp_path / "new")
     assert not (tmp_path / "new").exists()
+
+
+def test_a_signal_of_a_name_that_verilog_has_already_gets_a_longer_one(tmp_path):
+    u, y = Signal("input", 1, Fix(8, 4)), Signal("clk", 1, Fix(8, 4))
+    p = program("named", [u], [affine(y, "input", 1, 0, 4)])
+    emit(p, tmp_path / "new")
+    top = (tmp_path / "new" / "named.v").read_text()
+    assert "input_signal" in top
+    assert "clk_signal" in top
+    both = [affine(s, "input", 1, 0, 4) for s in (y, Signal("clk_signal", 1, Fix(8, 4)))]
+    with pytest.raises(InputError, match="clk_signal: its name in Verilog is also that of clk"):
+        verilog_names(program("both", [u], both))
 
 
 def test_an_unknown_architecture_a_senseless_number_of_multipliers_and_a_bad_folder_are_refused(tmp_path):

@@ -8,6 +8,7 @@ from greygate.compiler.dataflow.sums import Sums
 from greygate.compiler.limits import clamps_behind
 from greygate.compiler.targets import Design
 from greygate.emulator.program import Affine, Clamp, Elementwise, Lookup, Operation, Product, Program, Signal
+from greygate.names import CORE_NAMES
 
 
 class Dataflow:
@@ -18,7 +19,7 @@ class Dataflow:
         self.dsps = design.dsps  # that are left
         self.names = verilog.verilog_names(program)
         self.taken = {
-            *verilog.TAKEN,
+            *CORE_NAMES,
             program.name,
             *self.names.values(),
             *(f"{name}_layer" for name in self.names.values()),

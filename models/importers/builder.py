@@ -16,7 +16,7 @@ import numpy as np
 from greygate.errors import InputError, shown
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.network import Layer, Network, Port
-from greygate.names import LONGEST_NAME, check_name, check_path, check_unit
+from greygate.names import CORE_NAMES, KEYWORDS, LONGEST_NAME, check_name, check_path, check_unit
 
 Number = float | np.ndarray
 SAME = 1e-12  # of the largest number of a row: what scalings on the way leave of equality
@@ -120,8 +120,9 @@ def word(text: str) -> str:
 
 
 def titled(path: Path | str) -> str:
-    """A network's name by that of its file."""
-    return word(Path(path).stem)[:LONGEST_NAME] or "network"
+    """A network's name by that of its file, longer by a word where no design could have it, as `wire`."""
+    name = word(Path(path).stem)[:LONGEST_NAME] or "network"
+    return f"{name}_network" if name in KEYWORDS or name in CORE_NAMES else name
 
 
 def _room(count: int) -> None:
