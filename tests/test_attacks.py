@@ -129,6 +129,7 @@ def test_no_name_of_a_folder_reaches_the_makefile_of_a_verification(build, monke
         commands.append(command)
         if len(commands) == 2:
             raise InputError("make was called")
+        (where / "Vtop.h").touch()
 
     monkeypatch.setattr(verify, "run_logged", run_logged)
     with pytest.raises(InputError, match="make was called"):

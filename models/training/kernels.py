@@ -7,10 +7,11 @@ signals that are read with a delay or shown, `S_k[r] = dr/dtheta + sum_(d, q) c[
 
 import hashlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from inspect import getfile, signature
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -40,28 +41,94 @@ def kernel(**options) -> Callable[[Callable], Callable]:
     return compiled
 
 
-def _by_kind(given: str, wanted: str, functions: Mapping[int, Callable]) -> Callable:
-    """A compiled function of (kind, *given): it fills `wanted` by the function of that kind, in a vectorizable loop.
+def _value_of(function: Callable) -> Callable:
+    """A compiled function of a layer, by `function` of (scalars, n), in a loop that can be vectorized."""
+    function = scalars.inlined(function)
 
-    given: names of arrays of one layer; a function reads as many of the first as it takes beside `scalars`. One chain
-    of `elif`, because numba copies what it inlines: functions within functions it would copy once a level.
+    @scalars.inlined
+    def values(kind, signals):  # pragma: no cover - compiled
+        for o in range(len(signals)):
+            signals[o] = function(scalars, signals[o])
+
+    return values
+
+
+def _slope_of(function: Callable) -> Callable:
+    """The same for the slopes, of (scalars, y) or (scalars, y, n)."""
+    function, takes = scalars.inlined(function), len(signature(function).parameters)
+
+    @scalars.inlined
+    def of_y(kind, signals, sums, slopes):  # pragma: no cover - compiled
+        for o in range(len(signals)):
+            slopes[o] = function(scalars, signals[o])
+
+    @scalars.inlined
+    def of_both(kind, signals, sums, slopes):  # pragma: no cover - compiled
+        for o in range(len(signals)):
+            slopes[o] = function(scalars, signals[o], sums[o])
+
+    return of_y if takes == 2 else of_both
+
+
+def _values_of(a: int, b: int, c: int, one: Callable, two: Callable, three: Callable, four: Callable) -> Callable:
+    """One function of four: of kinds below a, below b, below c, and of the rest."""
+
+    @scalars.inlined
+    def values(kind, signals):  # pragma: no cover - compiled
+        if kind < a:
+            one(kind, signals)
+        elif kind < b:
+            two(kind, signals)
+        elif kind < c:
+            three(kind, signals)
+        else:
+            four(kind, signals)
+
+    return values
+
+
+def _slopes_of(a: int, b: int, c: int, one: Callable, two: Callable, three: Callable, four: Callable) -> Callable:
+    @scalars.inlined
+    def slopes_of(kind, signals, sums, slopes):  # pragma: no cover - compiled
+        if kind < a:
+            one(kind, signals, sums, slopes)
+        elif kind < b:
+            two(kind, signals, sums, slopes)
+        elif kind < c:
+            three(kind, signals, sums, slopes)
+        else:
+            four(kind, signals, sums, slopes)
+
+    return slopes_of
+
+
+def _chosen(parts: Sequence[Callable], none: Callable, of: Callable[..., Callable], first: int = 0) -> Callable:
+    """One function of those of each kind, from `first` on: by quarters, for numba copies what is inlined at each level.
+
+    none: where no kind is left.
     """
-    text = [f"def chosen(kind, {given}):"]
-    for own, function in functions.items():
-        read = given.split(", ")[: len(signature(function).parameters) - 1]
-        text += [f"    {'elif' if text[1:] else 'if'} kind == {own}:", f"        for o in range(len({wanted})):"]
-        text += [f"            {wanted}[o] = f{own}(scalars, {', '.join(f'{name}[o]' for name in read)})"]
-    text += ["    else:", "        raise ValueError('no such kind of activation')"]
-    names: dict[str, Any] = {f"f{own}": scalars.inlined(function) for own, function in functions.items()}
-    names["scalars"] = scalars
-    exec("\n".join(text), names)
-    return scalars.inlined(names["chosen"])
+    if len(parts) < 2:
+        return parts[0] if parts else none
+    ends = [-(-len(parts) * k // 4) for k in range(5)]
+    quarters = [_chosen(parts[a:b], none, of, first + a) for a, b in pairwise(ends)]
+    return of(*(first + b for b in ends[1:4]), *quarters)
 
 
-_values = _by_kind(  # of a layer's signals: in place, pre-activations become outputs
-    "signals", "signals", {k: a.value for k, a in enumerate(ACTIVATIONS.values()) if k not in (SELECT, PRODUCT)}
-)
-_slopes = _by_kind("signals, sums, slopes", "slopes", {k: a.slope for k, a in enumerate(ACTIVATIONS.values())})
+@scalars.inlined
+def _no_value(kind, signals):  # pragma: no cover - compiled
+    raise ValueError("no such kind of activation")
+
+
+@scalars.inlined
+def _no_slope(kind, signals, sums, slopes):  # pragma: no cover - compiled
+    raise ValueError("no such kind of activation")
+
+
+_VALUES = [_no_value if k in (SELECT, PRODUCT) else _value_of(a.value) for k, a in enumerate(ACTIVATIONS.values())]
+_values = _chosen([*_VALUES, _no_value], _no_value, _values_of)
+"""Of (kind, signals of a layer): in place, pre-activations become outputs."""
+_slopes = _chosen([*(_slope_of(a.slope) for a in ACTIVATIONS.values()), _no_slope], _no_slope, _slopes_of)
+"""Of (kind, signals, sums, slopes of a layer)."""
 
 
 class Tables(NamedTuple):
