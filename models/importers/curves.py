@@ -109,6 +109,7 @@ INSTEAD = {  # operation -> what to write, or to give, in its place
     ("randomnormallike", "randomuniformlike", "randomnormal", "randomuniform", "bernoulli", "multinomial"):
         "the mean in its place: it draws at random",
     ("resize", "upsample"): "a Linear with the weights of that interpolation",
+    ("onehotencoder", "labelencoder"): "each class as a port of 0 or 1, or the number itself in place of its bin",
     ("treeensembleregressor", "svmregressor"): "an MLPRegressor that is trained on its answers",
 }  # fmt: skip
 
