@@ -137,6 +137,7 @@ class _Declared:
         self.shown: dict[str, tuple[float, float]] = {}  # an output -> its scale and its offset
         self.known: dict[str, Bounded] = {}
         self.curves: dict[str, Step] = {}  # a tanh or a sigmoid, until the Quant that reads it gives its format
+        self.rough: set[str] = set()  # a tanh or a sigmoid that is interpolated
         self.tables: dict[str, Table | Lines] = {}
         self.operations: list[Operation] = []
 
@@ -164,6 +165,9 @@ class _Declared:
     def _quant(self, step: Step) -> Signal:
         form = step.format
         assert form is not None, "a Quant has a format"
+        for name, w in ((s, w) for (s, _), w in step.value.weights.items() if s in self.rough):
+            if float(np.abs(w).sum(1).max()) * self.known[name].signal.fix.lsb > 2.0**-form.frac:
+                raise InputError(f"{step.name}: its codes are finer than the {FINE} bits of {name}; give it fewer bits")
         if (source := _copied(step.value)) in self.curves:
             self._curve(self.curves[source], form)
         out = Signal(step.name, step.value.size, Fix(form.width, form.frac))
@@ -212,6 +216,7 @@ class _Declared:
         self.tables[table.name] = table
         out = Signal(step.name, arg.size, fix)
         self.operations.append(Lookup(out, arg.name, table.name))
+        self.rough.add(step.name)
         return self._define(out, *table.extremes)
 
     def _curve(self, step: Step, form: Format) -> None:

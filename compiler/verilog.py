@@ -46,7 +46,7 @@ def verilog_names(program: Program) -> dict[str, str]:
     names = {s: _free(s.replace(".", "__")) for s in program.signals}
     tables = [(t.name, table_module(program, t)) for t in program.tables]
     for original, name in [(program.name, program.name), *names.items(), *tables]:
-        _holdable(original, name)
+        holdable(original, name)
     taken = dict.fromkeys((*CORE_NAMES, program.name), "a port or part of the core")
     for original, name in names.items():
         for used in (name, f"{name}_layer"):
@@ -61,17 +61,13 @@ def verilog_names(program: Program) -> dict[str, str]:
     return names
 
 
-def check_top(name: str) -> None:
-    """Raise InputError for a name that no program can have in Verilog."""
-    _holdable(name, name)
-
-
 def _free(name: str) -> str:
     taken = name in KEYWORDS or name in CORE_NAMES or name.startswith("greygate_")
     return f"{name}_signal" if taken else name
 
 
-def _holdable(original: str, name: str) -> None:
+def holdable(original: str, name: str) -> None:
+    """Raise InputError for a name that Verilog cannot hold. original: as it stands in the program."""
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name in KEYWORDS or name.startswith("greygate_"):
         said = one_line(original)
         raise InputError(f"{said}: not a name that Verilog can hold; use letters, digits and _, no keyword")

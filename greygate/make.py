@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from greygate import schemas
 from greygate.compiler.explore import Request, told
-from greygate.compiler.verilog import check_top
+from greygate.compiler.verilog import holdable
 from greygate.errors import InputError
 from greygate.files import making, replacing
 from greygate.hardware.build import LATER, Project
@@ -74,7 +74,7 @@ class Asked:
         if isinstance(plant, Rig) and not targets:
             targets = [n for n in plant.predict if n not in sensors]
         task = Task.of(plant, [*found.values()], sensors, targets)
-        check_top(task.plant.name)  # minutes before the Verilog is written
+        holdable(task.plant.name, task.plant.name)  # minutes before the Verilog is written
         request = requested(device, {t: task.plant.unit(t) for t in task.targets}, error)
         kept = {n: only(r, (*task.inputs, *task.targets)) for n, r in found.items()}
         learnt, held = ({n: kept[n] for n in each} for each in (files, tests))

@@ -155,7 +155,9 @@ def test_the_program_gives_every_bit_of_the_executor_of_qonnx(model, seed, tmp_p
     m = Model(seed)
     path = m.saved(tmp_path / "model.onnx", CARRIED[model](m))
     x = (np.random.default_rng(9).normal(size=(N, 3)) * 2).astype(np.float32)  # beyond the format of the input, too
-    expected, program = executed(path, x), declared_program(load_quantized(path))
+    quantized = load_quantized(path)
+    assert not quantized.real
+    expected, program = executed(path, x), declared_program(quantized)
     codes = program.encode({p.name: x[:, k] for k, p in enumerate(program.inputs)})
     answer = program.decode(run(program, codes, states=False).outputs)
     found = np.stack([answer[p.name] for p in program.outputs], 1)
@@ -399,6 +401,10 @@ REFUSED = {  # what is said -> the model's output
     "its scale is -0.3; give it a positive one": lambda m: m.quant("x", -0.3, 8),
     "rounding_mode 'CEIL'; the hardware has ROUND and FLOOR": lambda m: m.quant("x", 0.5, 8, mode="CEIL"),
     "zero point 0.5; give a signal one whole": lambda m: m.quant("x", 0.5, 8, zero=0.5),
+    "a zero point of one bit": lambda m: m.quant("x", 0.5, 1, zero=1.0),
+    "its codes are finer than the 16 bits of Tanh_1; give it fewer bits": (
+        lambda m: m.quant(m.node("Tanh", m.quant("x", 0.03, 8)), 2.0**-19, 21)
+    ),
     "bit width 0; give one whole number from 1 to 24": lambda m: m.quant("x", 0.5, 0),
     "bit width 4.5": lambda m: m.quant("x", 0.5, 4.5),
     "input x_1: is rounded to the nearest code": lambda m: m.quant("x", 0.5, 8, mode="FLOOR"),

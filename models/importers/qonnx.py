@@ -149,8 +149,7 @@ class Declaring(Builder):
 def _cannot(hint: str) -> NoReturn:
     raise InputError(
         f"{hint}: beside Quant nodes a network carries sums, products with constants, limits, maxima, Relu, Tanh and "
-        "Sigmoid; "
-        "replace it by one of them, or export without Quant nodes"
+        "Sigmoid; replace it by one of them, or export without Quant nodes"
     )
 
 
@@ -182,16 +181,18 @@ def _quant(
         raise walk.refused(f"its scale is {steps.min():g}; give it a positive one")
     if (point % 1).any() or (x.constant is None and (point != point.flat[0]).any()):
         raise walk.refused(f"zero point {point.flat[0]:g}; give a signal one whole number")
-    one = steps.size and (steps == steps.flat[0]).all()
-    real = not one or not (np.frexp(steps)[0] == 0.5).all()  # np.frexp gives a mantissa from 0.5 to 1
-    walk.builder.real |= real
     if width == 1 and signed:  # Brevitas's 1 bit, as QONNX reads it
+        if point.any():
+            raise walk.refused("a zero point of one bit, which is -1 or 1; give it 0")
         return _bipolar(walk, x, scale)
+    several = x.constant is None and bool((steps != steps.flat[0]).any())  # of a signal, whose elements share a format
+    real = several or not _powers(steps)
+    walk.builder.real |= real
     rounding, numpys = mode
     if (found := x.constant) is not None:
         return constant((numpys(np.clip(found / steps + point, lo, hi)) - point) * steps)
     shift = int(point.flat[0])
-    if shift % 2 and not real and mode[0] == "half_even":  # midway between codes it goes to those even with the point
+    if shift % 2 and not real and rounding == "half_even":  # midway between codes it goes to those even with the point
         form = Format(_width(lo, hi), 0, lo, hi, rounding)
         codes = walk.builder.quantized(x.times(1 / steps).plus(constant(point)), form, walk.hint)
         return codes.plus(constant(-point)).times(steps)
@@ -218,7 +219,7 @@ def quantized_linear(walk: Any, x: Value, scale: Value, zero: Value | None = Non
         raise walk.refused(f"its scale is {size:g}; give it a positive one")
     low, high = (int(v - shift) for v in _range(walk.node, walk.scope))
     width = _width(low, high)
-    if np.frexp(size)[0] == 0.5:
+    if _powers(step):
         form = Format(width, 1 - int(np.frexp(size)[1]), low, high, "half_even")
         return walk.builder.quantized(x, form, walk.hint).times(1 / size).plus(constant(shift))
     walk.builder.real = True
@@ -268,10 +269,15 @@ def _codes(width: int, signed: int, narrow: int) -> tuple[int, int]:
 def _bipolar(walk: Any, x: Value, scale: Value) -> Value:
     """-1 where it is negative, else 1, times the scale."""
     steps = walk.fixed(scale, "the scale")
+    walk.builder.real |= not _powers(steps)
     if (found := x.constant) is not None:
         return constant(_ones(found) * steps)
-    walk.builder.real |= not (np.frexp(steps)[0] == 0.5).all()
     return walk.builder.activated(x, "hardlims", walk.hint).times(steps)
+
+
+def _powers(steps: np.ndarray) -> bool:
+    """Whether all are powers of two, whatever their sign."""
+    return bool((np.abs(np.frexp(steps)[0]) == 0.5).all())  # np.frexp gives a mantissa from 0.5 to 1
 
 
 def _ones(values: np.ndarray) -> np.ndarray:
