@@ -21,6 +21,7 @@ from greygate.mismatch.model import TINY
 from greygate.mismatch.noise import PLACES, Noise
 from greygate.mismatch.rig import IN, Rig
 from greygate.mismatch.ruled_out import why
+from greygate.mismatch.scales import noise
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import APART, STRUCTURE
 from greygate.mismatch.shown_by import Shown, shown_by
@@ -239,20 +240,31 @@ class Diagnosis:
         return DETAIL * (self.rivals.get(self.best.without(key), best) - best)
 
     def _doubtful(self, key: str) -> bool:
-        """Whether an effect may stand for what no model has: structure is left, any smooth curve is like it, it undoes
+        """Whether an effect may stand for what no model has: something is left, any smooth curve is like it, it undoes
         another, takes next to nothing of the error, or acts in another's equation on signals that one of both has.
         """
         effect = self.search.effects[key]
         beside = (self.search.effects[k] for k in self.best.effects if k != key)
         alike = any(_alike(effect, other) for other in beside)
         slight = self.shares.get(key, 1.0) < DETAIL
-        return bool(self._remaining() or effect.smooth or key in self.only_with or slight or alike)
+        left = self._remaining() or self._rough
+        return bool(left or effect.smooth or key in self.only_with or slight or alike)
+
+    @cached_property
+    def _rough(self) -> bool:
+        """Whether nobody told the noise, and the corrected run errs by far more than the recording itself is rough."""
+        likelihood = self.corrected.likelihood
+        if likelihood.expected:
+            return False
+        errors = np.sqrt(np.mean(likelihood.residual(self.corrected.values) ** 2, axis=0))
+        rough = [max(noise(run[n]) for run in likelihood.model.recording.runs) for n in self.rig.predict]
+        return bool((errors > FURTHER * np.array(rough)).any())
 
     def _named(self, keys: Iterable[str]) -> list[str]:
         """The names of effects, and the symbols of parameters."""
         return [self.search.effects[key].id if key in self.search.effects else key for key in keys]
 
-    def _noise(self, noise: Noise) -> dict:
+    def _noise(self, shown: Noise) -> dict:
         """By channel, in its unit, the noise that rig.toml tells and that the recording shows; samples it remembers."""
         rig, told = self.rig, self.corrected.likelihood.sigma
         usual = np.median(told[np.isfinite(told).all(axis=1)], axis=0)
@@ -264,7 +276,7 @@ class Diagnosis:
                 "memory": len(ar),
                 "as_told": not doubted,
             }
-            for name, size, ar, doubted in zip(rig.predict, noise.size * usual, noise.ar, noise.doubted, strict=True)
+            for name, size, ar, doubted in zip(rig.predict, shown.size * usual, shown.ar, shown.doubted, strict=True)
         }
 
     def _parameters(self) -> dict:

@@ -182,6 +182,11 @@ class Forced:
         told = self.search.rig.stated
         return self.base.likelihood.count * EXPECTED / float(np.mean(self.base.temper**2)) if told else 0.0
 
+    def is_place(self, signal: str) -> bool:
+        """Whether a signal says where something is: the integral of a state, or how far two bodies are apart."""
+        plant = self.rig.plant
+        return any(s in plant.states and plant.states[s].rate for s in names([signal]))
+
     def of(self, text: str) -> np.ndarray:
         """An expression along the recording (samples,)."""
         with np.errstate(all="ignore"):

@@ -11,7 +11,7 @@ linear in its coefficient, so a choice is one of columns (forced.py); a knee is 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -32,12 +32,20 @@ TERMS = 3  # of a formula, at most
 SHARP = 20.0  # of the tanh that stands for a sign: 5 % of the largest value are 76 % of the sign
 KNEES = (0.005, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7)  # of the largest value, where a tanh or a dead band bends
 LEVELS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the range, at which something begins
+REACHES = (
+    0.03,
+    0.06,
+    0.1,
+    0.15,
+)  # of the range, to which a pull to a place reaches: from a notch to a third of the way
+HILLS = 8  # that stand along a way, where any curve of it is asked for
 REFINED = 4  # formulas of one number of terms, of which knees are refined
 STEPS = 4  # in which a knee is refined: to a sixteenth of the distance of its grid
 BINS, BINS_EACH = 4096, 8  # of a signal's range, over which errors are summed; of each period of a wave, at least
 LOWEST = 2  # periods over the range: fewer are a curve
 PEAKS = 2  # waves of a signal that are tried
 CHANCE = 1e-3  # of so high a peak anywhere in a periodogram of noise
+NUMBERS = "KNEE", "REACH"  # as they stand in a form
 LONG, LONGEST = 3, 4  # what there is to read of a function with a number in it, or a cube; of a wave. Others: 1 or 2
 KNOTS = 13  # of a curve
 STIFF = 1e-3  # of the curvature of the cost by a knot: so much counts that a curve bends there
@@ -47,20 +55,22 @@ STIFF = 1e-3  # of the curvature of the cost by a knot: so much counts that a cu
 class Shape:
     """Functions of one or two signals, with one coefficient each.
 
-    forms: expressions, with KNEE where a number stands that may move by `step`. kind: what it does, in a word.
-    weight: how much there is to read.
+    forms: expressions, with KNEE and REACH where `numbers` stand that may move by `steps`. kind: what it does, in a
+    word. weight: how much there is to read.
     """
 
     forms: tuple[str, ...]
     kind: str
     weight: int
-    knee: float | None = None
-    step: float = 0.0
+    numbers: tuple[float, ...] = ()
+    steps: tuple[float, ...] = ()
 
     @property
     def texts(self) -> tuple[str, ...]:
-        knee = "" if self.knee is None else f"{self.knee:.5g}"
-        return tuple(form.replace("KNEE", knee) for form in self.forms)
+        found = self.forms
+        for name, number in zip(NUMBERS, self.numbers, strict=False):
+            found = tuple(form.replace(name, f"{number:.5g}").replace("- -", "+ ") for form in found)
+        return found
 
 
 @dataclass(frozen=True)
@@ -212,7 +222,9 @@ class Finder:
         low, high = self._ends(v)
         z = f"(({v} - {(low + high) / 2!r}) / {(high - low) / 2!r})"
         bent = f"tanh({SHARP / max(-low, high)!r} * {v})" if low < 0 < high else f"{z}**4"
-        return [v, f"{z}**2", f"{z}**3", bent]
+        centres = np.linspace(low, high, HILLS) if self.forced.is_place(v) else ()
+        wide = (high - low) / (HILLS - 1)
+        return [v, f"{z}**2", f"{z}**3", bent, *(f"exp(-(({v} - {at!r}) / {wide!r})**2)" for at in map(float, centres))]
 
     def _ends(self, v: str) -> tuple[float, float]:
         signal = self.forced.signals[v]
@@ -231,7 +243,7 @@ class Finder:
                 found.append((height, 2 * np.pi * (LOWEST + int(np.argmax(power))) / (high - low)))
         peaks = [f for _, f in sorted(found, reverse=True)[:PEAKS]]
         forms, step = (f"sin(KNEE * {v})", f"cos(KNEE * {v})"), np.pi / (high - low)
-        return [Shape(forms, "periodic", LONGEST, f, step) for f in peaks]
+        return [Shape(forms, "periodic", LONGEST, (f,), (step,)) for f in peaks]
 
     def pool(self, variables: Sequence[str]) -> list[Shape]:
         """The functions of which a formula in these signals is made."""
@@ -270,14 +282,23 @@ class Finder:
             band = f"(max({inside} - KNEE, 0.0) + min({inside} + KNEE, 0.0))"
             bent = {f"tanh({v} / KNEE)": "saturating", band: "threshold"}
             knees = [knee * most for knee in KNEES]
-            found += [Shape((form,), kind, LONG, knee, knee) for form, kind in bent.items() for knee in knees]
+            found += [Shape((form,), kind, LONG, (knee,), (knee,)) for form, kind in bent.items() for knee in knees]
         else:
             found.append(Shape((f"sqrt(abs({inside}))",), "root", 2))
         levels = [low + level * (high - low) for level in LEVELS]
         sided = f"(max({inside}, KNEE) - KNEE)", f"(min({inside}, KNEE) - KNEE)"
         step = (high - low) / len(levels)
-        found += [Shape((form,), "threshold", LONG, level, step) for form in sided for level in levels]
-        return found + self._waves(v)
+        found += [Shape((form,), "threshold", LONG, (level,), (step,)) for form in sided for level in levels]
+        local = self._pulls(v, levels, step) if self.forced.is_place(v) else []
+        return found + local + self._waves(v)
+
+    def _pulls(self, v: str, levels: Sequence[float], step: float) -> list[Shape]:
+        """What acts near a place alone, to both sides of it or towards it, as a magnet does or a notch."""
+        low, high = self._ends(v)
+        off = f"(({bare(v)} - KNEE) / REACH)"
+        forms = f"exp(-{off}**2)", f"({bare(v)} - KNEE) * exp(-{off}**2)"
+        numbers = [(level, reach * (high - low)) for reach in REACHES for level in levels]
+        return [Shape((form,), "local", LONGEST, n, (step, n[1] / 2)) for form in forms for n in numbers]
 
     def written(self, place: Place, pool: list[Shape]) -> Formula | None:
         """The formula of the fewest terms from `pool` to which a further one adds little."""
@@ -325,14 +346,15 @@ class Finder:
     def refined(self, formula: Formula, steps: Sequence[int] = range(1, STEPS + 1)) -> Formula:
         """The formula with each knee where most is saved. steps: how often the step is halved in each."""
         for i, shape in enumerate(formula.shapes):
-            for halvings in steps if shape.knee is not None else ():
-                knee, step = formula.shapes[i].knee or 0.0, shape.step / 2**halvings
-                moved = [self._bent(formula, i, to) for to in (knee - step, knee + step)]
+            for halvings, (j, step) in product(steps, enumerate(shape.steps)):
+                moved = [self._bent(formula, i, j, by / 2**halvings) for by in (-step, step)]
                 formula = max([formula, *moved], key=lambda f: f.share)
         return formula
 
-    def _bent(self, formula: Formula, i: int, knee: float) -> Formula:
-        shapes = (*formula.shapes[:i], replace(formula.shapes[i], knee=knee), *formula.shapes[i + 1 :])
+    def _bent(self, formula: Formula, i: int, j: int, by: float) -> Formula:
+        shape = formula.shapes[i]
+        numbers = *shape.numbers[:j], shape.numbers[j] + by, *shape.numbers[j + 1 :]
+        shapes = (*formula.shapes[:i], replace(shape, numbers=numbers), *formula.shapes[i + 1 :])
         moved = replace(formula, shapes=shapes)
         return replace(moved, share=self.judge(formula.place, moved.texts).gain(moved.texts) / self.misfit)
 

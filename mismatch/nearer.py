@@ -137,7 +137,7 @@ class Near(Finder):
 
     def _size(self, formula: Formula) -> int:
         """How many signals a formula is of, and how many numbers are in it."""
-        knees = sum(shape.knee is not None for shape in formula.shapes)
+        knees = sum(len(shape.numbers) for shape in formula.shapes)
         return self._signals(formula) + len(formula.texts) + knees
 
     def _signals(self, formula: Formula) -> int:

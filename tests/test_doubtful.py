@@ -98,9 +98,26 @@ def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_ne
     }
     said = SimpleNamespace(
         search=SimpleNamespace(effects=effects), best=Hypothesis(("a", "b")), shares={"a": share}, only_with={},
-        _remaining=lambda: "",
+        _remaining=lambda: "", _rough=False,
     )  # fmt: skip
     assert Diagnosis._doubtful(said, "a") is doubted
+
+
+@pytest.mark.parametrize(("expected", "left", "rough"), [(0.0, 0.05, True), (0.0, 0.012, False), (900.0, 0.05, False)])
+def test_where_no_noise_is_told_a_name_is_doubtful_that_leaves_far_more_than_the_recording_is_rough(
+    expected, left, rough
+):
+    """left: RMS of what a claim leaves of a slow wave with noise of 0.01. expected: above 0 where its noise is told."""
+    time = np.linspace(0.0, 20.0, 2000)
+    channel = np.sin(time) + 0.01 * np.random.default_rng(0).standard_normal(2000)
+    recording = SimpleNamespace(runs=[{"x": channel}])
+    model = SimpleNamespace(recording=recording)
+    residual = np.sqrt(2.0) * left * np.sin(3 * time)[:, None]
+    likelihood = SimpleNamespace(expected=expected, model=model, residual=lambda values: residual)
+    said = SimpleNamespace(
+        rig=SimpleNamespace(predict=["x"]), corrected=SimpleNamespace(likelihood=likelihood, values={})
+    )
+    assert Diagnosis._rough.func(said) is rough
 
 
 @pytest.mark.parametrize(("costs", "rounds"), [([9.0, 7.5, 7.0, 5.0], 3), ([9.0, 8.5, 5.0], 2), ([9.0, 9.5, 5.0], 2)])

@@ -181,13 +181,31 @@ def search(rig) -> Search:
     return Search(rig, rig.to_explain(), {})
 
 
+def test_a_pull_to_a_place_comes_back_with_where_it_is_and_how_far_it_reaches(tmp_path):
+    """A magnet beside the way of a cart on a spring, which swings through it with more and with less force."""
+    (tmp_path / "cart.toml").write_text(CART.replace('guide = "', 'spring = "-40 * x", guide = "'))
+    (tmp_path / "rig.toml").write_text(CART_RIG.replace('"output" }', '"output", noise_rms = 1e-4 }'))
+    real = Plant.read(tmp_path / "cart.toml").with_term(
+        "motion", "hidden", "-60 * (x - 0.3) * exp(-((x - 0.3) / 0.2)**2)"
+    )
+    rng = np.random.default_rng(4)
+    force = np.repeat(rng.uniform(-30, 30, 60), 25)
+    x = simulate(real, {"u": force}, sample_time=0.01, step=1e-3)["x"] + 1e-4 * rng.standard_normal(1500)
+    columns = np.column_stack([np.arange(1500) * 0.01, force, x])
+    np.savetxt(tmp_path / "identify.csv", columns, delimiter=",", header="t,u,x", comments="")
+    _, formula = settled(search(rigs.load(tmp_path)), None)
+    assert (formula.place, formula.depends_on, formula.kinds) == (("motion",), ["x"], ["local"])
+    assert formula.shapes[0].numbers == (pytest.approx(0.3, abs=0.01), pytest.approx(0.2, rel=0.05))
+    assert formula.share > 0.99
+
+
 def test_a_signal_is_told_from_one_that_moves_like_it(concealed):
     """The voltages of a low pass: what a diode takes is of the one behind the resistor, though the other seems best."""
     rig = concealed("electrical", "diode", 32)
     assert finder(rig).found().depends_on == ["v_1"]
     _, formula = settled(search(rig), None)
     assert (formula.place, formula.depends_on, formula.kinds) == (("second",), ["v_2"], ["threshold"])
-    assert formula.shapes[0].knee == pytest.approx(0.752, abs=0.01)
+    assert formula.shapes[0].numbers[0] == pytest.approx(0.752, abs=0.01)
     assert formula.as_well == ()
 
 
