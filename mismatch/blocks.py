@@ -26,6 +26,7 @@ PERCENT = 100
 PARTS = 8  # of a piece, each of them one draw of the difference of the squared errors
 FEWEST_DRAWS = 2  # of which a standard error can be told
 HALF = 0.1  # of its RMS error on a half, by which another fit may be worse: slow errors are few draws of chance
+TOLL = 0.1  # of what a fit saves on all blocks, that one of them may take back: it is half of an even share
 MORE = 0.01  # of the plainer fit's RMS error, by which another fit may be worse
 SURE = 3.0  # standard errors of the difference of the squared errors, below which it may be chance
 CHANCE = 0.01  # of calling a plant overfitted that is not, all channels together
@@ -38,7 +39,7 @@ class Loss:
     """A channel of a block on which a fit is worse. spans: (from, to) of its pieces in s. before, after: RMS errors.
 
     recording: of several the one in which it lies. Without spans it is all of that, or of the only one. learnt: whether
-    both fits did learn from it.
+    both fits did learn from it. cost: how much larger the sum of the squared errors is.
     """
 
     channel: str
@@ -48,6 +49,7 @@ class Loss:
     after: float
     recording: str = ""
     learnt: bool = False
+    cost: float = np.inf
 
     def __str__(self) -> str:
         when = " and ".join(f"{low:.3g} to {high:.3g} s" for low, high in self.spans)
@@ -109,7 +111,8 @@ class Judge:
     def losses(self, plain: Fit, fit: Fit) -> list[Loss]:
         """Every channel of every block on which `fit` is worse than `plain`.
 
-        What the linearised fits show is fitted again before it counts. Of several recordings each one as a whole
+        What the linearised fits show is fitted again before it counts. Some block out of many is always worse: of blocks
+        that does count which takes back TOLL of what is saved on all of them. Of several recordings each one as a whole
         counts, too, though both fits learnt from it: what the others have need not be there.
         """
         found = []
@@ -121,12 +124,17 @@ class Judge:
                 found += [replace(loss, learnt=True) for loss in lost]
         if found:
             return found
+        saved = np.zeros(len(self.model.rig.predict))
         for held in self.blocks(plain, fit):
-            if not self._lost(self.unseen(plain, held), self.unseen(fit, held), held):
-                continue
-            before, after = (self.errors(_without(f, held, exact=True))[held] for f in (plain, fit))
-            found += self._lost(before, after, held)
-        return found
+            before, after = self.unseen(plain, held), self.unseen(fit, held)
+            if self._lost(before, after, held):
+                before, after = (self.errors(_without(f, held, exact=True))[held] for f in (plain, fit))
+                found += self._lost(before, after, held)
+            saved += np.sum(before**2 - after**2, axis=0)
+        if self.halves and not self.several:
+            return found
+        most = dict(zip(self.model.rig.predict, TOLL * saved, strict=True))
+        return [loss for loss in found if not loss.cost < most[loss.channel]]
 
     def _lost(self, before: np.ndarray, after: np.ndarray, block: np.ndarray) -> list[Loss]:
         rig, held = self.model.rig, np.flatnonzero(block)
@@ -140,9 +148,10 @@ class Judge:
         out = []
         for i, channel in enumerate(rig.predict):
             was, now = (float(np.sqrt(np.mean(e[:, i] ** 2))) for e in (before, after))
-            worse = not now <= (1.0 + HALF) * was if self.halves else _worse(before[:, i], after[:, i])
+            worse = not now <= (1.0 + HALF) * was if self.halves else errs_more(before[:, i], after[:, i])
             if np.isfinite(was) and worse:
-                out.append(Loss(channel, rig.channels[channel].unit, spans, was, now, name))
+                cost = float(np.sum(after[:, i] ** 2 - before[:, i] ** 2))
+                out.append(Loss(channel, rig.channels[channel].unit, spans, was, now, name, cost=cost))
         return out
 
     def throughout(self, plain: Fit, fit: Fit) -> list[Loss]:
@@ -188,7 +197,7 @@ class Judge:
         if not np.isfinite(after).all():
             return f"with it the run diverges {where}"
         ratio = np.mean(after**2, axis=0) / (np.mean(before**2, axis=0) + TINY)
-        worse = [i for i in range(len(ratio)) if _worse(before[:, i], after[:, i])]
+        worse = [i for i in range(len(ratio)) if errs_more(before[:, i], after[:, i])]
         for i, channel in enumerate(self.model.rig.predict):
             if i in worse:
                 return f"with it {channel} is {PERCENT * (np.sqrt(ratio[i]) - 1):.2g} % worse {where}"
@@ -238,7 +247,7 @@ def _draws(before: np.ndarray, after: np.ndarray) -> list[tuple[float, float]]:
     return [(float(np.mean(one)), float(np.mean(other))) for one, other in parts]
 
 
-def _worse(before: np.ndarray, after: np.ndarray) -> bool:
+def errs_more(before: np.ndarray, after: np.ndarray) -> bool:
     """Whether errors (samples,) are larger than others, by more than MORE and than chance."""
     if not np.isfinite(after).all():
         return True

@@ -36,6 +36,7 @@ from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import excited
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.given import rig_of, tried
+from greygate.mismatch.held_out import no_better
 from greygate.mismatch.misread import check
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise
@@ -226,7 +227,7 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
             state = _confident(_claimed(_supported(search, selection, found, progress)))
     except OutOfTime:
         return _diagnosis(_unmoved(_judged(_untested(search, selection, progress))))
-    for step in (_regained, _lasting, _led_back, _closed):
+    for step in (_regained, _lasting, _led_back, _closed, _held_out):
         state = _in_time(step, state)
     return _diagnosis(state)
 
@@ -504,6 +505,35 @@ def _closed(state: State) -> State:
     return replace(state, found=replace(state.found, fit=fit))
 
 
+def _held_out(state: State) -> State:
+    """What is worn does not make the held-out recording worse; it is fitted otherwise before it is taken back.
+
+    What is a fault of one recording alone need not be in another.
+    """
+    search, best, claims, fit = state.search, state.found.best, state.claims, state.found.fit
+    term = (state.unknown.get("effect") or {}) if not best.size else {}
+    if not (best.size or term) or _faults(search, best):
+        return state
+    once = {f.symbol for key in best.effects if search.effects[key].once for f in search.effects[key].strengths}
+
+    def why(fit: Fit) -> str:
+        values = {symbol: value for symbol, value in fit.values.items() if symbol not in once}
+        return no_better(search, claims.calibrated, fit, values)
+
+    if not (no := why(fit)):
+        return state
+    if term:
+        claims.refused.append(f"no term is fitted: {no}")
+        again = replace(state, unknown={**state.unknown, "effect": None})
+        return replace(again, found=replace(state.found, fit=_bare(search, claims)))
+    judge = Judge(claims.fit.likelihood)
+    for other in filter(None, (fitted_by_rule(search, best, fit), fitted_beside(claims))):
+        if not (why(other) or unborne(search, best, other) or _no_better(judge, claims.calibrated, other)):
+            return _written(state, replace(claims, fit=other))
+    less = _reduced(state, Hypothesis(), f"{_named(search, best)} is taken back: {no}")
+    return _held_out(_closed(_judged(less)))
+
+
 def _unlike(search: Search, best: Hypothesis, more: Callable[[], bool]) -> str:
     """Why a smooth curve that is claimed is another one, in words; empty where none is claimed, or that one.
 
@@ -579,9 +609,13 @@ def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None, 
         regime = "no function of the signals that was tried takes what is left"
         bare = [{key: place[key] for key in ("equation", "depends_on")} for place in unknown["where"]]
         unknown = {**unknown, "where": [{**place, "regime": regime} for place in bare]}
+    return {**unknown, "effect": None}, _bare(search, claims)
+
+
+def _bare(search: Search, claims: Claims) -> Fit:
+    """The calibrated plant, its values as they are: fitted anew to long windows, they may predict worse."""
     plain = claims.calibrated
-    # its values as they are: fitted anew to long windows, they may predict worse
-    return {**unknown, "effect": None}, search.final.fit(plain.unknowns, plain.values, iterations=0)
+    return search.final.fit(plain.unknowns, plain.values, iterations=0)
 
 
 def fits(result: Diagnosis, identify) -> dict:

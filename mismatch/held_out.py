@@ -1,0 +1,41 @@
+"""The last word has the held-out recording: a correction that errs more there than the calibrated plant is not worn.
+
+What passes every gate on identify.csv may go astray in another motion, by a knee that a fast one does not show, or by
+parameters that went too far beside a name. Nothing is fitted to the held-out recording; it may only say no.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from greygate.mismatch.blocks import HALF, PERCENT, errs_more
+from greygate.mismatch.fit import Fit
+from greygate.mismatch.model import TINY, Model
+from greygate.mismatch.search import Search
+from greygate.mismatch.several import by_rule, modelled
+
+
+def no_better(search: Search, plain: Fit, fit: Fit, values: Mapping[str, float]) -> str:
+    """Why a correction is not worn in place of the calibrated plant `plain`, in words; empty where it is.
+
+    values: those of `fit` that hold in another recording.
+    """
+    recording = search.rig.held_out()
+    if recording is None:
+        return ""
+    model = modelled(search.rig, recording, fit.likelihood.model.effects)
+    before, after = (_errors(model, each) for each in (plain.values, values))
+    if not np.isfinite(before).all():
+        return ""
+    ratio = np.sqrt(np.mean(after**2, axis=0) / (np.mean(before**2, axis=0) + TINY))
+    for i, channel in enumerate(search.rig.predict):
+        if not ratio[i] <= 1.0 + HALF or errs_more(before[:, i], after[:, i]):
+            return f"with it {channel} is {PERCENT * (ratio[i] - 1):.2g} % worse in the held-out recording"
+    return "" if np.mean(ratio**2) < 1.0 else "with it the error is no smaller in the held-out recording"
+
+
+@np.errstate(over="ignore", invalid="ignore")  # a run may diverge
+def _errors(model: Model, values: Mapping[str, float]) -> np.ndarray:
+    """Recorded less simulated by the rule of the rig, where it counts (samples, channels), in the channels' units."""
+    predicted, counts = by_rule(model, values, model.rig.settle)
+    return (model.target - predicted)[counts]
