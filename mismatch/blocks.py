@@ -111,9 +111,9 @@ class Judge:
     def losses(self, plain: Fit, fit: Fit) -> list[Loss]:
         """Every channel of every block on which `fit` is worse than `plain`.
 
-        What the linearised fits show is fitted again before it counts. Some block out of many is always worse: of blocks
-        that does count which takes back TOLL of what is saved on all of them. Of several recordings each one as a whole
-        counts, too, though both fits learnt from it: what the others have need not be there.
+        What the linearised fits show is fitted again before it counts. Some block out of many is always worse: that one
+        counts which takes back TOLL of what is saved on all. Of several recordings each one as a whole counts, too,
+        though both fits learnt from it: what the others have need not be there.
         """
         found = []
         if self.several:

@@ -496,7 +496,8 @@ def _closed(state: State) -> State:
     if state.verdict != Verdict.UNEXPLAINED and not outdone:
         return replace(state, unknown={"where": left_beside(search, found.best, found.fit.values)})
     if found.best.size:
-        nearest = f"it came nearest, and takes {max(state.explained, 0.0):.0%} of what is missing"
+        nearest = f"it came nearest, and takes {max(state.explained, 0.0):.1%} of what is missing"
+        nearest += f", a term without a name {share:.1%}" if outdone else ""
         claims.refused.append(f"{_named(search, found.best)} is not claimed: {nearest}")
     unknown, fit = _unknown(search, claims, unknown, closed, refused)
     unknown["where"] = unknown["where"] or left_beside(search, Hypothesis(), fit.values)

@@ -24,7 +24,7 @@ GENERAL = Path(__file__).parent / "general.toml"
 SHARE = 0.1  # of the largest term of its place, that a term of typical size has
 TWIN = 0.01  # by which that of two effects may: no recording tells such shapes apart
 ALIKE = 1e-9  # by which the cosine of two terms along a recording may fall short of 1: one is the other, rescaled
-COPIES = ("unit", "rate", "per", "way", "sum")  # ways to take a unit from a signal, or from a sum of terms
+COPIES = ("unit", "rate", "per", "way", "sum", "power")  # ways to take a unit from a signal, or from a sum of terms
 
 
 def general(
@@ -138,7 +138,8 @@ def _sized(entry: dict, seen: Seen, every: bool) -> dict | None:
             del parameter["low"]
         if "typical" not in parameter:
             column = seen.size(unity, shapes)
-            if not every and (not column > 0.0 or _there(seen, where, unity, shapes)):
+            there = not states and _there(seen, where, unity, shapes)  # a state of its own answers late
+            if not every and (not column > 0.0 or there):
                 return None
             largest = seen.size(where.removeprefix(SENSOR)) if where.startswith(SENSOR) else seen.largest(where)
             parameter["typical"] = SHARE * (largest or 1.0) / (column or 1.0)
@@ -191,9 +192,11 @@ def _copied(unit: str, seen: Seen) -> str:
     if kind not in COPIES or not name:
         return unit
     plant = seen.rig.plant
-    found = unit_of_place(plant, name) if kind == "sum" else units.powers(plant.unit(name))
+    found = unit_of_place(plant, name) if kind in ("sum", "power") else units.powers(plant.unit(name))
     if found is None:
         return ""
+    if kind == "power":
+        found = units.times(found, units.powers(plant.unit(plant.equations[name].state)) or {})
     if kind == "per":  # an angle counts nothing
         found = {symbol: -power for symbol, power in found.items() if symbol != "rad"}
     if kind in ("rate", "way"):

@@ -24,7 +24,7 @@ FAST = ("rpm", "Hz")  # rates that need no second below
 LOADS, TILTS = ("payload",), ("gravity_x", "gravity_y", "gravity_z")  # elements that only a simulator has
 LONGEST_LINK = 400  # characters: a term may have so many, several times over
 TRIED, ABOUT_ONE = 3, (0.5, 2.0)  # values at which a link is asked whether both of its ends may move together
-PAIRS = 6  # of states, between which something may flow or act: those of the first states
+PAIRS = 6  # of states, between which something may flow or act, or of a velocity and an input: the first ones
 
 
 def places(rig: Rig) -> dict[str, list[Place]]:
@@ -41,6 +41,9 @@ def places(rig: Rig) -> dict[str, list[Place]]:
         "drive": (driven := [p | {"drive": drive} for p in moving if (drive := _drive(rig, p["motion"]))]),
         "ruled": [place for place in driven if _asks(plant, place["drive"]) & {*plant.states}],
         "geared": [place for place in driven if place.get("x") in rig.predict and _known(plant, place)],
+        "law": [*_laws(rig)],
+        "lossy": [*_resisting(rig)][:PAIRS],
+        "pressed": [{"u": u, "v": p["v"], "motion": p["motion"]} for p in moving for u in rig.inputs][:PAIRS],
         "inert": [p | {"storage": s} for p in moving if (s := _storage(plant, p["motion"]))],
         "s": stored,
         "heat": [place for place in stored if plant.unit(place["s"]) == "K"],
@@ -171,6 +174,44 @@ def _drive(rig: Rig, where: str) -> str:
     """The terms of a sum that inputs bring, themselves or through definitions, as one expression."""
     terms, driven = _sum(rig.plant, where).terms.values(), _driven(rig)
     return "+".join(f"({text.replace(' ', '')})" for text in terms if driven & names([text]))
+
+
+def _laws(rig: Rig) -> Iterator[Place]:
+    """Definitions that balances have and states move: of a force or a flow, not of a place, a speed or a share."""
+    plant = rig.plant
+    used = _asks(plant, " + ".join(["0", *(t for e in plant.equations.values() for t in e.terms.values())]))
+    for name, law in plant.definitions.items():
+        text = "+".join(f"({t.replace(' ', '')})" for t in law.terms.values())
+        given = not units.powers(law.unit) or is_rate(law.unit) or _is_length(units.powers(law.unit))
+        if law.symbol in used and law.symbol not in rig.predict and _asks(plant, text) & {*plant.states} and not given:
+            yield {"f": law.symbol, "law": name, "sum": text}
+
+
+def _resisting(rig: Rig) -> Iterator[Place]:
+    """Terms that take power from what a balance stores or moves: against the sign of its state, and of no other one."""
+    plant = rig.plant
+    for name, equation in plant.equations.items():
+        for term, text in equation.terms.items():
+            state, own = equation.state, names([text]) & {*plant.states}
+            if own == {state} and state not in plant.shown and _against(text, state):
+                text = text.replace(" ", "")
+                yield {
+                    "r": f"{state}_{term}",
+                    "s": state,
+                    "balance": name,
+                    "resists": text,
+                    "loss": f"abs(({text})*{state})",
+                }
+
+
+def _against(text: str, state: str) -> bool:
+    """Whether an expression has the sign that a state has not, at a few values of all, those of others above 0."""
+    random, found = np.random.default_rng(0), parse(text)
+    for _ in range(TRIED):
+        values = dict(zip(found.names, random.uniform(*ABOUT_ONE, len(found.names)), strict=True))
+        if not found.over(values) < 0.0 < found.over({**values, state: -values[state]}):
+            return False
+    return True
 
 
 def _storage(plant: Plant, where: str) -> str:

@@ -81,6 +81,16 @@ class Seen:
         return {name: signal for name, signal in found.items() if name in self.rig.plant.symbols}
 
     @cached_property
+    def read(self) -> set[str]:
+        """States that a channel reads through its law, which is of no other state, as a speed in rpm."""
+        plant, read = self.rig.plant, set()
+        for law in plant.definitions.values():
+            used = names(law.terms.values())
+            moved = {*used, *(n for d in plant.needed(used) for n in names(d.terms.values()))} & {*plant.states}
+            read |= moved if law.symbol in self.rig.predict and len(moved) == 1 else set()
+        return read
+
+    @cached_property
     def simulated(self) -> dict[str, np.ndarray]:
         """The other states, by the data sheet's plant."""
         with np.errstate(over="ignore", invalid="ignore"):
@@ -258,7 +268,7 @@ class Seen:
         if kind == "several":
             return len(self.rig.predict) > 1 or len(self.rig.inputs) > 1
         if kind == "recorded":
-            return name in self.recorded
+            return name in self.recorded or name in self.read
         state = self.rig.plant.states.get(name)
         if kind == "may_be_negative":
             return not (state and isinstance(state.low, float) and state.low >= 0)

@@ -90,6 +90,50 @@ v = "smooth_rate x"
 damper.F = { unit = "N", spring = "k * x", oil = "c * v" }
 """
 
+SPRUNG = ROTOR.replace('bearing = "', 'spring = "-0.03 * q", bearing = "')
+BELT = """step = 1e-3
+outputs = ["w", "v"]
+inputs = { u = "N m" }
+[parameters]
+J = [0.05, "kg m^2", 0.15, "drum"]
+c = [4000.0, "N s/m", 0.3, "creep of the belt"]
+m = [60.0, "kg", 0.15, "belt and goods"]
+[states]
+w = { unit = "rad/s" }
+v = { unit = "m/s" }
+[definitions]
+grip.F = { unit = "N", creep = "c * (0.08 * w - v)" }
+[equations]
+drum.w = { storage = "J", motor = "u", belt = "-0.08 * F", bearing = "-0.02 * w" }
+belt.v = { storage = "m", pull = "F", rollers = "-80 * v" }
+"""
+CELL = """step = 0.05
+outputs = ["v_t"]
+inputs = { u = "A" }
+[parameters]
+C = [10.0, "F", 0.1, "capacitor"]
+R = [300.0, "ohm", 0.2, "leakage"]
+[states]
+v = { unit = "V", initial = 0.6 }
+[definitions]
+terminal.v_t = { unit = "V", inner = "v", series = "0.05 * u" }
+[equations]
+charge.v = { storage = "C", current = "u", leakage = "-v / R" }
+"""
+
+COIL = """step = 1e-3
+outputs = ["i"]
+inputs = { u = "V" }
+[parameters]
+L = [0.05, "H", 0.2, "coil"]
+R = [5.0, "ohm", 0.05, "coil"]
+[states]
+i = { unit = "A" }
+[equations]
+electric.i = { storage = "L", source = "u", drop = "-R * i" }
+"""
+CLUTCH = ROTOR.replace('{ u = "N m" }', '{ u = "N m", p = "Pa" }')
+
 
 def run(rates, start, inputs: np.ndarray, dt: float) -> np.ndarray:
     """States (samples, n) of x' = rates(x, u), of held inputs."""
@@ -161,6 +205,52 @@ def limited(random, seed):
     return MOTOR, dt, {"u": u}, {"w": x[:, 0]}
 
 
+def turned(torque):
+    """A rotor on a spring, with a torque of its angle."""
+    return lambda random, seed: (SPRUNG, 0.005, {"u": (u := prms(1200, -0.02, 0.02, (40, 160), seed))}, {
+        "q": run(lambda x, u: [x[1], (u - 1e-3 * x[1] + torque(x[0])) / 3e-4], [0, 0], u, 0.005)[:, 0]
+    })  # fmt: skip
+
+
+held = turned(lambda q: -0.03 * q - 0.15 * (max(q - 0.4, 0) + min(q + 0.4, 0)))
+softening = turned(lambda q: -0.03 * q + 0.006 * q**3)
+
+
+def slipping(random, seed):
+    dt, u = 0.01, prms(1200, 1, 13.6, (30, 150), seed)
+
+    def rates(x, u):
+        grip = 160 * np.tanh(3600 * (0.08 * x[0] - x[1]) / 160)
+        return [(u - 0.08 * grip - 0.02 * x[0]) / 0.053, (grip - 80 * x[1]) / 56]
+
+    x = run(rates, [0, 0], u, dt)
+    return BELT, dt, {"u": u}, {"w": x[:, 0], "v": x[:, 1]}
+
+
+def branched(random, seed):
+    """A cell that gives to a second, slower one, of which only the voltage at the terminal is read."""
+    dt, u = 0.2, prms(900, -1, 1.05, (20, 120), seed)
+    x = run(lambda x, u: [(u - x[0] / 320 - (x[0] - x[1]) / 6) / 9.4, (x[0] - x[1]) / 10.8], [0.6, 0.6], u, dt)
+    return CELL, dt, {"u": u}, {"v_t": x[:, 0] + 0.05 * u}
+
+
+def warm(random, seed):
+    """A coil whose resistance grows by a fifth with 20 W of its own losses, in 1.5 s."""
+    dt, u = 0.01, prms(800, -14, 14, (10, 60), seed)
+    x = run(lambda x, u: [(u - 5.1 * (1 + x[1]) * x[0]) / 0.055, (0.01 * 5 * x[0] ** 2 - x[1]) / 1.5], [0, 0], u, dt)
+    return COIL, dt, {"u": u}, {"i": x[:, 0]}
+
+
+def pressed(random, seed):
+    """A plate that a pressure of up to 1 bar holds with 9 mN m."""
+    dt, u, p = 0.005, prms(600, -0.03, 0.03, (30, 90), seed), prms(600, 0.0, 1e5, (40, 120), seed + 1)
+
+    def rates(x, given):
+        return [x[1], (given[0] - 1e-3 * x[1] - 9e-8 * given[1] * np.tanh(x[1] / 0.3)) / 3e-4]
+
+    return CLUTCH, dt, {"u": u, "p": p}, {"q": run(rates, [0, 0], np.column_stack([u, p]), dt)[:, 0]}
+
+
 CASES = {
     yielding: ("compliance", "behind_w_period", 2 * np.pi * np.sqrt(1e-3 / 3)),
     swaying: ("compliance", "behind_w_period", 2 * np.pi * np.sqrt(0.8e-4 / 0.4)),
@@ -175,7 +265,7 @@ DRAWS = [(overflow, SEED), (hysteresis, SEED), (yielding, SEED), (limited, SEED)
 SLOW = [(swaying, SEED), (play, SEED), (play, 5), (poles, 3), (poles, 5), (poles, 6)]
 
 
-UNITS = {"q_m": "rad", "q_l": "rad", "h": "m", "q": "rad", "x": "m", "F": "N", "w": "rad/s"}
+UNITS = {"p": "Pa", "i": "A", "v": "m/s", "v_t": "V", "q_m": "rad", "q_l": "rad", "h": "m", "q": "rad", "x": "m", "F": "N", "w": "rad/s"}
 
 
 def rig_of(folder, of, seed: int = SEED, noise: float = 1e-4):
@@ -184,11 +274,38 @@ def rig_of(folder, of, seed: int = SEED, noise: float = 1e-4):
     plant, dt, inputs, outputs = of(random, seed)
     noisy = {n: y + noise * np.ptp(y) * random.standard_normal(len(y)) for n, y in outputs.items()}
     known = tomllib.loads(plant)["parameters"]
-    units = UNITS | {"u": {TANK: "m^3/s", MOTOR: "V"}.get(plant, "N m")}
+    units = UNITS | {"u": {TANK: "m^3/s", MOTOR: "V", COIL: "V", CELL: "A"}.get(plant, "N m")}
     channels = {n: (units[n], "input", None, y) for n, y in inputs.items()}
     channels |= {n: (units[n], "output", None, y) for n, y in noisy.items()}
     tolerance = {s: p[2] for s, p in known.items() if p[2]}
     return load(write(folder, plant, {s: p[0] for s, p in known.items()}, tolerance, channels, dt))
+
+
+@pytest.mark.parametrize(
+    ("of", "name", "symbol", "size", "rivals"),
+    [(held, "gap_spring", "held_q_beyond", 0.4, {"hardening_spring", "ripple"}),
+     (softening, "hardening_spring", "k3_q", -0.006, {"ripple", "sensor_gain"}),
+     (warm, "warming", "warms_i_drop_time", 1.5, {"square_leak", "input_fading", "source"}),
+     (pressed, "pressed_friction_p", "mu_w_p", 9e-8, {"dry_friction", "load_friction", "square_damping"}),
+     (branched, "hidden_storage", "time_v_hidden", 10.8, {"source", "square_leak", "late_channel"})],
+)  # fmt: skip
+def test_it_is_named_among_what_is_like_it(of, name, symbol, size, rivals, tmp_path):
+    rig = rig_of(tmp_path / "rig", of)
+    offered = {key: effect for key, effect in known(rig, rig.to_explain()).items() if effect.id in {name, *rivals}}
+    found = diagnose(rig, effects=offered).as_dict()
+    assert {effect.id for effect in offered.values()} > {name}
+    assert [effect["id"] for effect in found["effects"]] == [name], found["verdict"]
+    assert found["effects"][0]["parameters"][symbol]["value"] == pytest.approx(size, rel=0.1)
+
+
+def test_a_grip_that_slips_is_fitted_with_its_limit(tmp_path):
+    rig = rig_of(tmp_path / "rig", slipping)
+    offered = {key: e for key, e in known(rig, rig.to_explain()).items() if e.id == "law_saturation"}
+    assert [effect.equations for effect in offered.values()] == [("grip",)], "neither a speed nor what a channel reads"
+    search = Search(rig, rig.to_explain(), offered)
+    found = search.fit(search.final, Hypothesis((*offered,)), {"F_lost": 1.0, "F_most": 130.0})
+    assert found.values["F_most"] == pytest.approx(150.0, rel=0.07)  # of a clip that is like a tanh of 160
+    assert found.cost < search.base(search.final).cost - 1000.0
 
 
 @pytest.mark.parametrize(("of", "seed"), [*DRAWS, *(pytest.param(*c, marks=pytest.mark.nightly) for c in SLOW)])
