@@ -48,12 +48,14 @@ from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.stretches import pieces, stretches
 from greygate.mismatch.verdict import Verdict
 from greygate.mismatch.words import lines
+from greygate.plants.expressions import names
 from greygate.plants.plant import Plant
 from greygate.plants.recording import run_name
 from greygate.progress import Budget, OutOfTime, Progress, silent
 
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
+ALIKE = 0.95  # of what can be explained: a name that takes so much is not replaced by the same in other words
 CLOSED = PART  # of the misfit, that a fitted term must take, as a name must: what takes less does harm elsewhere
 NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
 OPEN_VERDICTS = Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED
@@ -493,6 +495,7 @@ def _closed(state: State) -> State:
     refused = _no_term(search.in_part(claims.calibrated), unknown, closed)
     share = 0.0 if refused else _taken(unknown)
     outdone = state.selection.outdone(found.best, state.explained, share, found.fit, closed)
+    outdone = outdone and not _alike(search, found.best, state.explained, unknown)
     if state.verdict != Verdict.UNEXPLAINED and not outdone:
         return replace(state, unknown={"where": left_beside(search, found.best, found.fit.values)})
     if found.best.size:
@@ -504,6 +507,18 @@ def _closed(state: State) -> State:
     kept = state.left if state.verdict == Verdict.UNEXPLAINED else ""  # else it is what the names left
     state = replace(state.unclaimed(), unknown=unknown, left=state.selection.left(fit) or kept)
     return replace(state, found=replace(state.found, fit=fit))
+
+
+def _alike(search: Search, best: Hypothesis, explained: float, unknown: dict) -> bool:
+    """Whether a term without a name is what is named: of the same signals in one equation, where that explains most."""
+    effects = [search.effects[key] for key in best.effects]
+    if len(effects) != 1 or effects[0].smooth or explained < ALIKE:
+        return False
+    plant = search.rig.plant
+    signals = names(effects[0].terms.values()) & {*plant.states, *plant.inputs}
+    return any(
+        place["equation"] in effects[0].equations and signals == {*place["depends_on"]} for place in unknown["where"]
+    )
 
 
 def _held_out(state: State) -> State:
@@ -639,8 +654,8 @@ def fits(result: Diagnosis, identify) -> dict:
         parts = {name: slice(None)}
         if len(model.pieces) > 1:
             files = {run.name: Path(run.source).name for run in recording.runs}
-            names = (run if run not in recordings else files[run] for run in files)
-            parts |= dict(zip(names, model.pieces, strict=True))
+            labels = (run if run not in recordings else files[run] for run in files)
+            parts |= dict(zip(labels, model.pieces, strict=True))
         for part, piece in parts.items():
             out[part] = {
                 channel: {

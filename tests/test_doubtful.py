@@ -84,6 +84,19 @@ def test_a_curve_with_a_constant_beside_it_or_with_something_left_is_not_quite_w
 
 
 @pytest.mark.parametrize(
+    ("term", "smooth", "explained", "on", "alike"),
+    [("-k * v", False, 0.98, ["v"], True), ("-k * v", False, 0.98, ["v", "i"], False),
+     ("-k * v", False, 0.9, ["v"], False), ("-k * v", True, 0.98, ["v"], False)],
+)  # fmt: skip
+def test_a_name_that_explains_most_is_not_replaced_by_the_same_term_in_other_words(term, smooth, explained, on, alike):
+    effect = SimpleNamespace(terms={"body.leak": term}, equations=("body",), smooth=smooth)
+    plant = SimpleNamespace(states={"v": None}, inputs={"i": "A"})
+    search = SimpleNamespace(effects={"leak": effect}, rig=SimpleNamespace(plant=plant))
+    unknown = {"where": [{"equation": "body", "depends_on": on}]}
+    assert finding._alike(search, Hypothesis(("leak",)), explained, unknown) is alike
+
+
+@pytest.mark.parametrize(
     ("equation", "on", "share", "doubted"),
     [("body", ("v",), 0.5, True), ("body", ("t",), 0.5, False), ("wheel", ("v",), 0.5, False),
      ("wheel", ("v",), 0.001, True)],

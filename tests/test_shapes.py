@@ -265,7 +265,19 @@ DRAWS = [(overflow, SEED), (hysteresis, SEED), (yielding, SEED), (limited, SEED)
 SLOW = [(swaying, SEED), (play, SEED), (play, 5), (poles, 3), (poles, 5), (poles, 6)]
 
 
-UNITS = {"p": "Pa", "i": "A", "v": "m/s", "v_t": "V", "q_m": "rad", "q_l": "rad", "h": "m", "q": "rad", "x": "m", "F": "N", "w": "rad/s"}
+UNITS = {
+    "p": "Pa",
+    "i": "A",
+    "v": "m/s",
+    "v_t": "V",
+    "q_m": "rad",
+    "q_l": "rad",
+    "h": "m",
+    "q": "rad",
+    "x": "m",
+    "F": "N",
+    "w": "rad/s",
+}
 
 
 def rig_of(folder, of, seed: int = SEED, noise: float = 1e-4):
