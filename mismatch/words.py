@@ -113,6 +113,10 @@ def lines(result: Diagnosis) -> list[str]:
     for i, text in enumerate(noises(found)):
         out.append(row("" if i else "noise", text))
     out.append(row("remains", found["remaining"] or nothing_left(result)))
+    if result.verdict == Verdict.UNEXPLAINED and result.search.lost(result.corrected):
+        out.append(
+            row("lost", "the free run leaves the recording, which a trifle may do; window_s in rig.toml restarts it")
+        )
     return [*out, f"{found['seconds']:.1f} s"]
 
 

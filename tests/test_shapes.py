@@ -20,6 +20,7 @@ from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.seen import Seen
 from greygate.mismatch.stretches import pieces
 from greygate.mismatch.verdict import Verdict
+from greygate.mismatch.words import lines
 from greygate.plants import Plant, prms, simulate
 from greygate.plants.plant import Values
 
@@ -336,10 +337,14 @@ def test_the_plant_of_a_network_moves_no_more_than_what_is_before_the_shaft(tmp_
     assert Values(plant, {}).evaluate(plant.equations["motion"].storage) == pytest.approx(0.6 * 2.3e-3)
 
 
-def test_what_no_effect_explains_is_not_consistent_where_it_goes_with_a_term_of_the_plant(tmp_path):
+def test_what_no_effect_explains_is_not_consistent_where_it_goes_with_a_term_of_the_plant(tmp_path, monkeypatch):
     rig = rig_of(tmp_path / "rig", limited)
     effects = {key: effect for key, effect in known(rig, rig.to_explain()).items() if key != "drive_saturation"}
-    assert diagnose(rig, effects=effects).verdict == Verdict.UNEXPLAINED
+    found = diagnose(rig, effects=effects)
+    assert found.verdict == Verdict.UNEXPLAINED
+    for lost in (True, False):
+        monkeypatch.setattr(Search, "lost", lambda search, fit, lost=lost: lost)
+        assert any("window_s in rig.toml restarts it" in line for line in lines(found)) is lost
 
 
 def test_a_run_that_loses_the_phase_of_an_angle_is_searched_in_pieces_that_begin_at_their_readings(tmp_path):
