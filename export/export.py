@@ -17,6 +17,7 @@ from greygate.hardware.build import Project
 from greygate.hardware.facts import FACTS
 from greygate.mismatch import effects as effect_table
 from greygate.mismatch import rig as rigs
+from greygate.mismatch.joining import begun
 from greygate.mismatch.model import BLUR, EARLY, TIMING
 from greygate.mismatch.simulation import asked, check, corrected
 from greygate.plants import mjcf as mjcf_model
@@ -169,7 +170,8 @@ def _identified(folder: Path, diagnosis: Mapping | None) -> Plant:
             "which cannot hold that: correct the signals themselves"
         )
     kept = {s: replace(p, value=float(found[s])) for s, p in model.plant.parameters.items() if s not in without}
-    return _named(replace(model.plant, parameters=kept, outputs=tuple(rig.predict)))
+    whole = replace(model.plant, parameters=kept, outputs=tuple(rig.predict))
+    return _named(begun(whole, model.effects.values()))
 
 
 def _named(given: Plant) -> Plant:

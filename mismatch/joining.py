@@ -11,7 +11,7 @@ from typing import NoReturn
 from greygate.errors import InputError
 from greygate.mismatch.entries import SENSOR, TIME, Effect
 from greygate.plants.expressions import parse
-from greygate.plants.plant import Definition, Parameter, Plant
+from greygate.plants.plant import Definition, Parameter, Plant, Values
 
 
 def join(plant: Plant, effects: Iterable[Effect]) -> tuple[Plant, dict[str, dict[str, str]]]:
@@ -26,6 +26,16 @@ def join(plant: Plant, effects: Iterable[Effect]) -> tuple[Plant, dict[str, dict
     for effect in effects:
         joining.enter(effect)
     return joining.joined(), joining.readings
+
+
+def begun(plant: Plant, effects: Iterable[Effect]) -> Plant:
+    """A plant with effects, of which what they store begins where a diagnosis lets it begin: as the plant's states."""
+    scope = Values(plant, {**dict.fromkeys(plant.inputs, 0.0), **plant.initial()})
+    first = {
+        symbol: replace(state, initial=float(scope.evaluate(state.start)))
+        for effect in effects for symbol, state in effect.states.items() if state.start is not None
+    }  # fmt: skip
+    return replace(plant, states={**plant.states, **first})
 
 
 class _Joining:

@@ -179,7 +179,7 @@ def _drive(rig: Rig, where: str) -> str:
 def _laws(rig: Rig) -> Iterator[Place]:
     """Definitions that balances have and states move: of a force or a flow, not of a place, a speed or a share."""
     plant = rig.plant
-    used = _asks(plant, " + ".join(["0", *(t for e in plant.equations.values() for t in e.terms.values())]))
+    used = {symbol for e in plant.equations.values() for text in e.terms.values() for symbol in _asks(plant, text)}
     for name, law in plant.definitions.items():
         text = "+".join(f"({t.replace(' ', '')})" for t in law.terms.values())
         given = not units.powers(law.unit) or is_rate(law.unit) or _is_length(units.powers(law.unit))

@@ -454,7 +454,14 @@ def unstable() -> Network:
 
 
 @pytest.mark.usefixtures("alone")
-@pytest.mark.parametrize("how", [[], ["--seconds", "60"], ["--tail", "0.2"], ["--settle", "3"]])
+@pytest.mark.parametrize(
+    "how",
+    [
+        [],
+        ["--tail", "0.2"],
+        *(pytest.param(h.split(), marks=pytest.mark.nightly) for h in ("--seconds 60", "--settle 3")),
+    ],
+)
 def test_a_training_whose_free_run_diverges_falls_back_to_shooting_and_says_so(tmp_path, how, monkeypatch, greygate):
     unstable().save(tmp_path / "line")
     record = recording(tmp_path / "a.csv", steps=300)

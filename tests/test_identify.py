@@ -336,7 +336,13 @@ def test_every_idea_of_the_noise_is_in_the_ladder(straight):
     assert {"OE", "subspace", "ARX", "ARMAX", "BJ", "FIR"} <= names
 
 
-@pytest.mark.parametrize(("u", "y"), [("state", "error"), ("measured", "shown"), ("neurons", "rest")])
+@pytest.mark.parametrize(
+    ("u", "y"),
+    [
+        ("state", "error"),
+        *(pytest.param(*c, marks=pytest.mark.nightly) for c in [("measured", "shown"), ("neurons", "rest")]),
+    ],
+)
 def test_a_channel_may_have_any_name_that_parts_of_models_have(shortest, u, y):
     rec = recorded(1)
     renamed = Recording(rec.dt, {u: rec["u"], y: rec["y"]}, {u: "V", y: "m"})
@@ -359,7 +365,10 @@ def test_a_short_step_response_is_not_said_to_be_without_answer_or_at_a_limit():
     assert [r for r in remarks if "answer" in r or "limit" in r] == []
 
 
-@pytest.mark.parametrize(("samples", "parts", "error"), [(40, 2, 0.1), (100, 5, 0.03), (159, 7, 0.03), (160, 8, 0.03)])
+@pytest.mark.parametrize(
+    ("samples", "parts", "error"),
+    [(40, 2, 0.1), pytest.param(100, 5, 0.03, marks=pytest.mark.nightly), (159, 7, 0.03), (160, 8, 0.03)],
+)
 def test_the_shorter_a_recording_the_fewer_parts_judge(shortest, samples, parts, error):
     search = found(recorded(1, samples=samples)).search
     assert search.task.parts == parts

@@ -328,8 +328,10 @@ def test_dry_friction_that_a_function_has_not_is_found_in_newtons(function, comp
     assert "dry" in page(found)
 
 
-@pytest.mark.parametrize("told", [{"noise_rms": {"x": NOISE}}, {}])
-@pytest.mark.parametrize("seeds", [[0], [0, 1]])
+@pytest.mark.parametrize(
+    ("told", "seeds"),
+    [({"noise_rms": {"x": NOISE}}, [0, 1]), ({}, [0]), pytest.param({}, [0, 1], marks=pytest.mark.nightly)],
+)
 def test_a_wrong_parameter_of_a_function_is_found(told, seeds):
     """With the noise told and untold, in one recording and in two."""
     recordings = [recorded(seed, mass=2.4, dry=0.0) for seed in seeds]

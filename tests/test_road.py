@@ -109,6 +109,29 @@ def test_a_linear_plant_needs_one_step_and_equals_its_simulation(cart):
     assert found.rms["network"]["first"]["x"] < 1e-9 * np.ptp(run["x"])
 
 
+COIL = {
+    "step": 5e-5,
+    "outputs": ["i"],
+    "inputs": {"u": "V"},
+    "parameters": {"L": [5e-4, "H"], "R": [5.6, "ohm"]},
+    "states": {"i": {"unit": "A"}, "warm": {"unit": "1"}},
+    "equations": {
+        "electric": {"i": {"storage": "L", "source": "u", "drop": "-R * i", "warmer": "-R * i * warm"}},
+        "heat": {"warm": {"storage": "0.1", "power": "0.02 * R * i**2", "loss": "-warm"}},
+    },
+}
+
+
+def test_a_fast_state_whose_square_warms_a_slow_one_begins_as_the_plant():
+    """Before the first sample its current would be 270 times as large, and heat it: Newton's whole step goes astray."""
+    coil = Plant.of("coil", COIL)
+    u = np.repeat(np.random.default_rng(1).uniform(2, 8, SAMPLES // 40), 40)
+    run = simulate(coil, {"u": u}, sample_time=5e-4, step=5e-5)
+    told = {**DIAGNOSIS, "plant": "coil", "verdict": "consistent", "effects": [], "parameters": {}}
+    found = build(coil, {"first": run}, {}, diagnosis=told)
+    assert found.rms["network"]["first"]["i"] < 2e-3 * np.ptp(run["i"])
+
+
 def test_a_diagnosis_of_another_plant_is_refused(cart, real):
     with pytest.raises(InputError, match="is of wagon, the rig is cart"):
         build(cart, {"first": recorded(real, 1)}, {}, diagnosis={**DIAGNOSIS, "plant": "wagon"})

@@ -52,7 +52,7 @@ def recording():
 
 
 @pytest.mark.parametrize("told", [{}, {"noise_rms": {"x": 1e-4}}], ids=["noise untold", "noise told"])
-@pytest.mark.parametrize("runs", [1, 30, 150])
+@pytest.mark.parametrize("runs", [1, pytest.param(30, marks=pytest.mark.nightly), 150])
 def test_the_time_is_kept_within_the_fit_of_a_hypothesis(recording, told, runs, monkeypatch):
     slow = Slow()
     monkeypatch.setattr(progress, "monotonic", slow.now)
@@ -79,7 +79,7 @@ def test_a_claim_that_has_time_is_made(recording):
     assert "dry_friction" in [e["id"] for e in found["effects"]]
 
 
-@pytest.mark.parametrize("runs", [30, 100, 400])
+@pytest.mark.parametrize("runs", [30, pytest.param(100, marks=pytest.mark.nightly), 400])
 def test_a_budget_of_work_ends_alike_on_one_core_and_on_many(recording, runs, monkeypatch):
     monkeypatch.setattr(cores, "WORTH", 0.0)
 

@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from small_plants import write
 
+from greygate.export.export import _identified
 from greygate.identify.expert.diagnosed import _with
 from greygate.mismatch import fit
 from greygate.mismatch.coloured import Coloured
@@ -335,6 +336,20 @@ def test_the_plant_of_a_network_moves_no_more_than_what_is_before_the_shaft(tmp_
     effect = known(rig, rig.to_explain())["compliance"]
     plant = _with(rig.plant, effect, {f.symbol: f.typical for f in effect.free} | {"behind_w_share": 0.4})
     assert Values(plant, {}).evaluate(plant.equations["motion"].storage) == pytest.approx(0.6 * 2.3e-3)
+
+
+@pytest.mark.parametrize(("of", "name", "symbol", "first"), [(branched, "hidden_storage", "hidden_v", 0.6),
+                                                           (warm, "warming", "warm_i_drop", 0.0)])  # fmt: skip
+def test_what_an_effect_stores_begins_in_a_network_and_an_fmu_as_in_the_diagnosis(of, name, symbol, first, tmp_path):
+    rig = rig_of(tmp_path / "rig", of)
+    effect = known(rig, rig.to_explain())[name]
+    values = {f.symbol: f.typical for f in effect.free}
+    assert _with(rig.plant, effect, values).initial()[symbol] == first
+    found = {"effects": [{"id": name, "parameters": {f.reported: {"value": f.typical} for f in effect.free}}]}
+    whole = _identified(rig.folder, {"schema": "diagnosis/2", "plant": "plant", "parameters": {}, **found})
+    assert whole.initial()[symbol] == first
+    model = Model(rig, rig.to_explain(), {name: effect})
+    assert model.starts({**model.values, **values}, model.inputs)[0, list(model.plant.states).index(symbol)] == first
 
 
 def test_what_no_effect_explains_is_not_consistent_where_it_goes_with_a_term_of_the_plant(tmp_path, monkeypatch):

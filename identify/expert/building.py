@@ -51,7 +51,8 @@ DECAY = 1e-6
 HELD = 1.0  # tolerances that a parameter may be off beside something unexplained, which draws it
 FINE, COARSE = 1e-3, 1e-2  # of the plant's motion: where no finer integration is tried, and what none may miss
 DIAGNOSING = 2e9  # steps of states that a diagnosis simulates (`Model.work`), two minutes: it tries nothing further
-ROUNDS, SLOPE = 8, 1e-7  # of Newton's method for a state before the first sample; of its scale, for a difference
+ROUNDS, SLOPE = 24, 1e-7  # of Newton's method for a state before the first sample; of its scale, for a difference
+HALVINGS = 8  # of a step of that, of which the best is taken: far from the end a product leads astray
 ALIKE = 1.25  # of the least miss, within which the cheaper integration is as good
 FEW = 4  # evaluations a sample, with which no more are tried where a part only comes near its term
 EXERCISED = (0.85, 1.15)  # of an input, in an exercise
@@ -655,8 +656,9 @@ def before(
     at, error = goal, missed(goal) if paths else goal
     for _ in range(ROUNDS if paths else 0):
         slopes = np.stack([(missed(at + SLOPE * row) - error) / SLOPE for row in np.eye(len(at))], axis=1)
-        trial = at - np.linalg.lstsq(slopes, error)[0]
-        left = missed(trial)
+        step = np.linalg.lstsq(slopes, error)[0]
+        tried = [(at - step / 2**k, missed(at - step / 2**k)) for k in range(HALVINGS)]
+        trial, left = min(tried, key=lambda pair: np.abs(pair[1]).max())
         if not np.abs(left).max() < np.abs(error).max():
             break
         at, error = trial, left

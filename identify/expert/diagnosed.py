@@ -11,7 +11,7 @@ from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.effects import known
 from greygate.mismatch.entries import SENSOR, TIME, Effect, fitting
 from greygate.mismatch.given import rig_of
-from greygate.mismatch.joining import join
+from greygate.mismatch.joining import begun, join
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import LINEAR, Rig
 from greygate.mismatch.simulation import corrected
@@ -153,6 +153,7 @@ def _with(plant: Plant, effect: Effect, values: Mapping[str, float]) -> Plant:
         equations={**plant.equations, **effect.equations_of},
         definitions={**effect.definitions, **plant.definitions},
     )
+    plant = begun(plant, [effect])
     heavier = {where: plant.equations[where].storing(text) for where, text in effect.storages.items()}
     plant = replace(plant, equations={**plant.equations, **heavier})
     for path, text in effect.terms.items():
