@@ -155,6 +155,27 @@ def test_the_command_gives_json_and_the_next_command(files, tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.usefixtures("alone")
+def test_of_a_rig_whose_file_has_the_units_the_next_command_runs_as_printed(files, tmp_path):
+    rig = tmp_path / "rig"
+    rig.mkdir()
+    (rig / "motor.toml").write_text(MOTOR)
+    (rig / "rig.toml").write_text(
+        'plant = "motor.toml"\nsample_time_s = 0.02\npredict = ["w"]\n'
+        "parameters = { inertia = 0.01, gain = 0.1, viscous = 0.01 }\n"
+        'channels.u = { unit = "V", role = "input" }\nchannels.w = { unit = "rad/s", role = "output" }\n'
+    )
+    bare = (files / "training.csv").read_text().replace("t_s,u_V,w_rad_s", "t,u,w", 1)
+    (rig / "identify.csv").write_text(bare)
+    out, told = tmp_path / "out", files / "told.json"
+    arguments = [rig, rig / "identify.csv", "--diagnosis", told, "--out", out, "--json"]
+    done = CliRunner().invoke(app, ["build-snn", *map(str, arguments)])
+    assert done.exit_code == 0, done.stderr
+    command = json.loads(done.stdout)["next"].removeprefix("next: greygate ").split()
+    assert command[:3] == ["compile", str(out / "motor.toml"), str(out / "identify.csv")]
+    assert CliRunner().invoke(app, command).exit_code == 0
+
+
 def test_a_valve_is_found_in_the_library_and_a_curve_is_trained():
     log = Log()
     seen = {"u": np.linspace(-1e-3, 1e-3, 500), "p": np.linspace(2e5, 8e5, 500)[::-1]}

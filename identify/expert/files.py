@@ -1,6 +1,7 @@
 """From files to files: `greygate build-snn`."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, NotRequired, TypedDict
 
@@ -46,7 +47,8 @@ def build_files(
     """Build the network of the plant in a file or of a rig, and write it with its figures and decisions to a folder.
 
     diagnosis: a diagnosis.json of the plant, or one that an earlier build wrote; else the recordings are diagnosed, and
-    NAME.diagnosis.json keeps it. Returns the figures. Raises InputError as `build`, before anything is written.
+    NAME.diagnosis.json keeps it. A rig's recordings are written there, too, with the units that its file tells.
+    Returns the figures. Raises InputError as `build`, before anything is written.
     """
     if both := set(recordings) & set(tests):
         raise InputError(f"{min(both)} is both a recording to train on and one to test on; rename one of them")
@@ -60,7 +62,12 @@ def build_files(
     with making(out), writing(out):
         judges = {n: found[n] for n in tests}
         built = build(plant, used, judges, sensors, targets, seconds, progress, told)
-        return _written(built, {n: files[n] for n in found}, out)
+        paths = {n: files[n] for n in found}
+        for name, recording in found.items() if isinstance(plant, Rig) else ():
+            with suppress(InputError):  # a unit that no column has
+                recording.write_csv(out / f"{name}.csv")
+                paths[name] = str(out / f"{name}.csv")
+        return _written(built, paths, out)
 
 
 def read(where: Path, files: Mapping[str, str]) -> tuple[Plant | Rig, dict[str, Recording]]:
