@@ -30,7 +30,8 @@ def join(plant: Plant, effects: Iterable[Effect]) -> tuple[Plant, dict[str, dict
 
 def begun(plant: Plant, effects: Iterable[Effect]) -> Plant:
     """A plant with effects, of which what they store begins where a diagnosis lets it begin: as the plant's states."""
-    scope = Values(plant, {**dict.fromkeys(plant.inputs, 0.0), **plant.initial()})
+    scope = Values(plant, {})
+    scope.update({**dict.fromkeys(plant.inputs, 0.0), **plant.initial()})
     first = {
         symbol: replace(state, initial=float(scope.evaluate(state.start)))
         for effect in effects for symbol, state in effect.states.items() if state.start is not None
