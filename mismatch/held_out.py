@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from greygate.mismatch.blocks import HALF, PERCENT, errs_more
+from greygate.mismatch.blocks import HALF, MORE, PERCENT, errs_more
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.search import Search
@@ -18,7 +18,7 @@ from greygate.mismatch.several import by_rule, modelled
 def no_better(search: Search, plain: Fit, fit: Fit, values: Mapping[str, float]) -> str:
     """Why a correction is not worn in place of the calibrated plant `plain`, in words; empty where it is.
 
-    values: those of `fit` that hold in another recording.
+    What does not act there says nothing, and is worn. values: those of `fit` that hold in another recording.
     """
     recording = search.rig.held_out()
     if recording is None:
@@ -31,7 +31,8 @@ def no_better(search: Search, plain: Fit, fit: Fit, values: Mapping[str, float])
     for i, channel in enumerate(search.rig.predict):
         if not ratio[i] <= 1.0 + HALF or errs_more(before[:, i], after[:, i]):
             return f"with it {channel} is {PERCENT * (ratio[i] - 1):.2g} % worse in the held-out recording"
-    return "" if np.mean(ratio**2) < 1.0 else "with it the error is no smaller in the held-out recording"
+    more = float(np.mean(ratio**2)) > (1.0 + MORE) ** 2
+    return "with it the error is larger in the held-out recording" if more else ""
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a run may diverge

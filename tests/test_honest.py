@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_plants import circuit, encoder, heater, motor
 
-from greygate.mismatch import blocks, claims, simulation
+from greygate.mismatch import blocks, claims, held_out, simulation
 from greygate.mismatch import diagnose as finding
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
@@ -75,6 +75,22 @@ def test_a_correction_is_taken_back_that_spoils_the_held_out_recording(tmp_path)
     assert any("speed_slip is taken back: with it x_load is" in why for why in found.refused)
     held = found.as_dict()["fit"]["holdout"]["x_load"]
     assert held["corrected"] <= held["calibrated"]
+
+
+@pytest.mark.parametrize(
+    ("times", "refused"),
+    [([1.0, 1.0], ""), ([0.5, 1.02], "v is 2 % worse"), ([1.008, 1.004], ""), ([0.9, 1.2], "v is 20 %")],
+)
+def test_what_does_not_act_in_the_held_out_recording_is_worn(times, refused, monkeypatch):
+    """times: by how much each of two channels errs more there."""
+    before = np.ones((160, 2))
+    errors = iter((before, before * times))
+    monkeypatch.setattr(held_out, "modelled", lambda *given: None)
+    monkeypatch.setattr(held_out, "_errors", lambda model, values: next(errors))
+    search = SimpleNamespace(rig=SimpleNamespace(held_out=lambda: "recording", predict=["x", "v"]))
+    fit = SimpleNamespace(values={}, likelihood=SimpleNamespace(model=SimpleNamespace(effects={})))
+    found = held_out.no_better(search, fit, fit, {})
+    assert found.startswith(f"with it {refused}") if refused else found == ""
 
 
 def test_a_correction_is_worn_where_the_run_on_unseen_blocks_is_better_with_it(slipping):
