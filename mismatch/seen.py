@@ -203,8 +203,8 @@ class Seen:
     def _size(self, quantile: float, name: str) -> float:
         """That quantile of a signal's magnitudes; where it rests then, of those with which it moves."""
         size, slow = np.abs(self._some(name)), SLOW * self._peak(name)
-        found = np.quantile(size, quantile)
-        return float(found if found >= slow else np.quantile(size[size >= slow], quantile))
+        found, moving = np.quantile(size, quantile), size[size >= slow]
+        return float(found if found >= slow or not len(moving) else np.quantile(moving, quantile))
 
     def _rate(self, quantile: float, name: str) -> float:
         """That quantile of the magnitudes of a signal's rate where it changes."""
