@@ -9,7 +9,7 @@ fits are fitted again to the other pieces, and both simulations run by the rule 
 fit loses on a channel of a block where its error is larger, and by more than chance makes of it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -194,14 +194,9 @@ class Judge:
 
     def _not_less(self, before: np.ndarray, after: np.ndarray, where: str) -> str:
         """Why errors (samples, channels) are no smaller than others, in words; empty where they are."""
-        if not np.isfinite(after).all():
-            return f"with it the run diverges {where}"
-        ratio = np.mean(after**2, axis=0) / (np.mean(before**2, axis=0) + TINY)
-        worse = [i for i in range(len(ratio)) if errs_more(before[:, i], after[:, i])]
-        for i, channel in enumerate(self.model.rig.predict):
-            if i in worse:
-                return f"with it {channel} is {PERCENT * (np.sqrt(ratio[i]) - 1):.2g} % worse {where}"
-        return "" if np.mean(ratio) < 1.0 else f"with it the error of the run is no smaller {where}"
+        ratio = squared(before, after)
+        less = "" if np.mean(ratio) < 1.0 else f"with it the error of the run is no smaller {where}"
+        return larger(self.model.rig.predict, before, after, where) or less
 
     def overfitted(self, fit: Fit) -> str:
         """What of a fit does not hold on blocks that it did not learn from, in words; empty where all does.
@@ -245,6 +240,21 @@ def _draws(before: np.ndarray, after: np.ndarray) -> list[tuple[float, float]]:
     """Mean squares of two series of errors (samples,) over some parts of a block, one pair a part."""
     parts = zip(*(np.array_split(e**2, min(ROUNDS * PARTS, len(e))) for e in (before, after)), strict=True)
     return [(float(np.mean(one)), float(np.mean(other))) for one, other in parts]
+
+
+def squared(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Squared errors over others (channels,), both given as errors (samples, channels)."""
+    return np.mean(after**2, axis=0) / (np.mean(before**2, axis=0) + TINY)
+
+
+def larger(channels: Sequence[str], before: np.ndarray, after: np.ndarray, where: str, by: float = np.inf) -> str:
+    """Why errors (samples, channels) are larger than others by more than chance, or than `by`, in words; else empty."""
+    if not np.isfinite(after).all():
+        return f"with it the run diverges {where}"
+    for channel, was, now, ratio in zip(channels, before.T, after.T, np.sqrt(squared(before, after)), strict=True):
+        if ratio > 1.0 + by or errs_more(was, now):
+            return f"with it {channel} is {PERCENT * (ratio - 1):.2g} % worse {where}"
+    return ""
 
 
 def errs_more(before: np.ndarray, after: np.ndarray) -> bool:

@@ -77,9 +77,10 @@ def diagnose(
     progress: Progress = silent,
     budget: Budget | None = None,
     seconds: float = math.inf,
+    unseen: bool = False,
     **told: Any,
 ) -> Diagnosis:
-    """Explain the recording `rig.folder`/identify.csv; holdout.csv serves for the report alone. `print` what it finds.
+    """Explain the recording `rig.folder`/identify.csv; holdout.csv may say no (`held_out`). `print` what it finds.
 
     recording: of a plant in the place of a rig, which a `Simulator` is, too: a Recording, what `read_recording` takes,
     or a list of such, which are explained together; its channels have the plant's names and units. told: what rig.toml
@@ -88,6 +89,7 @@ def diagnose(
     effects: those to be tried, by key; by default all that are known for the rig. progress: gets a line of text for
     each thing that begins, such as `print`. seconds, budget: when it is over, fits end where they are, no further
     hypothesis is tried, and the diagnosis names those that were left out; what is not tested soon then is no claim.
+    unseen: whether holdout.csv judges what is made of the diagnosis: then it is reported on, and decides nothing.
     Raises InputError where a recording or the table of effects cannot serve.
 
     >>> force = 60.0 * np.repeat(np.random.default_rng(2).standard_normal(30), 40)
@@ -111,7 +113,7 @@ def diagnose(
     effects = table.known(rig, recording) if effects is None else effects
     progress("compiling the plant")
     search = Search(rig, recording, effects)
-    search.budget = budget
+    search.budget, search.unseen = budget, unseen
     if some := stretches(search):
         search.part = search.over(some)
     search.effects, not_shown = excited(search.part.final.model, search.effects)
@@ -528,7 +530,7 @@ def _held_out(state: State) -> State:
     """
     search, best, claims, fit = state.search, state.found.best, state.claims, state.found.fit
     term = (state.unknown.get("effect") or {}) if not best.size else {}
-    if not (best.size or term) or _faults(search, best):
+    if search.unseen or not (best.size or term) or _faults(search, best):
         return state
     once = {f.symbol for key in best.effects if search.effects[key].once for f in search.effects[key].strengths}
 

@@ -8,11 +8,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from greygate.mismatch.blocks import HALF, MORE, PERCENT, errs_more
+from greygate.mismatch.blocks import HALF, MORE, larger, squared
 from greygate.mismatch.fit import Fit
-from greygate.mismatch.model import TINY, Model
+from greygate.mismatch.model import Model
 from greygate.mismatch.search import Search
 from greygate.mismatch.several import by_rule, modelled
+
+WHERE = "in the held-out recording"
 
 
 def no_better(search: Search, plain: Fit, fit: Fit, values: Mapping[str, float]) -> str:
@@ -27,12 +29,10 @@ def no_better(search: Search, plain: Fit, fit: Fit, values: Mapping[str, float])
     before, after = (_errors(model, each) for each in (plain.values, values))
     if not np.isfinite(before).all():
         return ""
-    ratio = np.sqrt(np.mean(after**2, axis=0) / (np.mean(before**2, axis=0) + TINY))
-    for i, channel in enumerate(search.rig.predict):
-        if not ratio[i] <= 1.0 + HALF or errs_more(before[:, i], after[:, i]):
-            return f"with it {channel} is {PERCENT * (ratio[i] - 1):.2g} % worse in the held-out recording"
-    more = float(np.mean(ratio**2)) > (1.0 + MORE) ** 2
-    return "with it the error is larger in the held-out recording" if more else ""
+    if why := larger(search.rig.predict, before, after, WHERE, by=HALF):
+        return why
+    more = float(np.mean(squared(before, after))) > (1.0 + MORE) ** 2
+    return f"with it the error is larger {WHERE}" if more else ""
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a run may diverge

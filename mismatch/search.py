@@ -128,6 +128,7 @@ class Search:
         self.within = WITHIN
         self.budget, self.untried = Budget(), dict[str, None]()  # what there was no time for
         self.checked = False  # whether its columns are what rig.toml says (`misread`)
+        self.unseen = False  # whether the held-out recording decides nothing
         self.between = False  # whether inputs moved between the samples
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
         if noise is not None:

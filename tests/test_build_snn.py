@@ -167,13 +167,14 @@ def test_of_a_rig_whose_file_has_the_units_the_next_command_runs_as_printed(file
     )
     bare = (files / "training.csv").read_text().replace("t_s,u_V,w_rad_s", "t,u,w", 1)
     (rig / "identify.csv").write_text(bare)
-    out, told = tmp_path / "out", files / "told.json"
+    out, told = rig, files / "told.json"  # beside what is the user's own
     arguments = [rig, rig / "identify.csv", "--diagnosis", told, "--out", out, "--json"]
     done = CliRunner().invoke(app, ["build-snn", *map(str, arguments)])
     assert done.exit_code == 0, done.stderr
     command = json.loads(done.stdout)["next"].removeprefix("next: greygate ").split()
-    assert command[:3] == ["compile", str(out / "motor.toml"), str(out / "identify.csv")]
+    assert command[:3] == ["compile", str(out / "motor.toml"), str(out / "motor.recording.csv")]
     assert CliRunner().invoke(app, command).exit_code == 0
+    assert (rig / "identify.csv").read_text() == bare
 
 
 def test_a_valve_is_found_in_the_library_and_a_curve_is_trained():

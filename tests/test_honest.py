@@ -75,6 +75,8 @@ def test_a_correction_is_taken_back_that_spoils_the_held_out_recording(tmp_path)
     assert any("speed_slip is taken back: with it x_load is" in why for why in found.refused)
     held = found.as_dict()["fit"]["holdout"]["x_load"]
     assert held["corrected"] <= held["calibrated"]
+    judges = diagnose(load(tmp_path / "rig"), unseen=True)
+    assert [e["id"] for e in judges.as_dict()["effects"]] == ["speed_slip"], "what judges later decides nothing"
 
 
 @pytest.mark.parametrize(

@@ -330,7 +330,12 @@ def test_dry_friction_that_a_function_has_not_is_found_in_newtons(function, comp
 
 @pytest.mark.parametrize(
     ("told", "seeds"),
-    [({"noise_rms": {"x": NOISE}}, [0, 1]), ({}, [0]), pytest.param({}, [0, 1], marks=pytest.mark.nightly)],
+    [
+        ({"noise_rms": {"x": NOISE}}, [0, 1]),
+        ({}, [0]),
+        pytest.param({"noise_rms": {"x": NOISE}}, [0], marks=pytest.mark.nightly),
+        pytest.param({}, [0, 1], marks=pytest.mark.nightly),
+    ],
 )
 def test_a_wrong_parameter_of_a_function_is_found(told, seeds):
     """With the noise told and untold, in one recording and in two."""

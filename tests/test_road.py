@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.identify.expert import building
+from greygate.identify.expert import building, diagnosed
 from greygate.identify.expert.acting import FILTERS, acting
 from greygate.identify.expert.building import build, corrected_task
 from greygate.identify.expert.decisions import Log
@@ -23,6 +24,7 @@ from greygate.models.network import Network, Port
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import simulate
+from greygate.progress import Budget
 
 CART = {
     "step": 2e-4,
@@ -130,6 +132,20 @@ def test_a_fast_state_whose_square_warms_a_slow_one_begins_as_the_plant():
     told = {**DIAGNOSIS, "plant": "coil", "verdict": "consistent", "effects": [], "parameters": {}}
     found = build(coil, {"first": run}, {}, diagnosis=told)
     assert found.rms["network"]["first"]["i"] < 2e-3 * np.ptp(run["i"])
+
+
+def test_what_judges_the_network_decides_nothing_in_its_diagnosis(cart, real, monkeypatch):
+    """`greygate make` shows the diagnosis what it is held against, for the report."""
+    seen = {}
+
+    def told(rig, **options):
+        seen.update(options, held=rig.held_out().samples)
+        return SimpleNamespace(as_dict=dict)
+
+    monkeypatch.setattr(diagnosed, "diagnose", told)
+    first, other = recorded(real, 1), recorded(real, 2)
+    diagnosed.asked(Task.of(cart, [first], (), ()), [first], Budget(1.0), held=[other])
+    assert (seen["unseen"], seen["held"]) == (True, SAMPLES)
 
 
 def test_a_diagnosis_of_another_plant_is_refused(cart, real):

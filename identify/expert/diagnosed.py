@@ -75,10 +75,11 @@ def asked(
 ) -> tuple[Diagnosis, dict]:  # fmt: skip
     """The diagnosis of what a network is to compute, and what is kept of it.
 
-    budget: after it no further hypothesis is tried. held: recordings that it is only reported on.
+    budget: after it no further hypothesis is tried. held: recordings that it is only reported on: they judge the
+    network.
     """
     rig = rig_for(task, recordings, held)
-    found = diagnose(rig, effects=_with_a_place(rig), progress=progress, budget=budget)
+    found = diagnose(rig, effects=_with_a_place(rig), progress=progress, budget=budget, unseen=True)
     return found, found.as_dict() | {READS: list(task.inputs)}
 
 

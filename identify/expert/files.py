@@ -1,7 +1,6 @@
 """From files to files: `greygate build-snn`."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, NotRequired, TypedDict
 
@@ -15,7 +14,7 @@ from greygate.models.accuracy import Errors
 from greygate.plain import Count, json_text, plain
 from greygate.plants.plant import Plant
 from greygate.plants.readers.read import read_recording
-from greygate.plants.recording import Recording
+from greygate.plants.recording import UNITS, Recording
 from greygate.progress import Progress, once, silent
 
 RIG = "rig.toml"
@@ -47,8 +46,8 @@ def build_files(
     """Build the network of the plant in a file or of a rig, and write it with its figures and decisions to a folder.
 
     diagnosis: a diagnosis.json of the plant, or one that an earlier build wrote; else the recordings are diagnosed, and
-    NAME.diagnosis.json keeps it. A rig's recordings are written there, too, with the units that its file tells.
-    Returns the figures. Raises InputError as `build`, before anything is written.
+    NAME.diagnosis.json keeps it. Of a rig, NAME.recording.csv is its first recording with units. Returns the
+    figures. Raises InputError as `build`, before anything is written.
     """
     if both := set(recordings) & set(tests):
         raise InputError(f"{min(both)} is both a recording to train on and one to test on; rename one of them")
@@ -62,12 +61,7 @@ def build_files(
     with making(out), writing(out):
         judges = {n: found[n] for n in tests}
         built = build(plant, used, judges, sensors, targets, seconds, progress, told)
-        paths = {n: files[n] for n in found}
-        for name, recording in found.items() if isinstance(plant, Rig) else ():
-            with suppress(InputError):  # a unit that no column has
-                recording.write_csv(out / f"{name}.csv")
-                paths[name] = str(out / f"{name}.csv")
-        return _written(built, paths, out)
+        return _written(built, {n: files[n] for n in found}, out, found if isinstance(plant, Rig) else {})
 
 
 def read(where: Path, files: Mapping[str, str]) -> tuple[Plant | Rig, dict[str, Recording]]:
@@ -79,7 +73,8 @@ def read(where: Path, files: Mapping[str, str]) -> tuple[Plant | Rig, dict[str, 
     return Plant.read(where), {name: read_recording(path, told=once) for name, path in files.items()}
 
 
-def _written(built: Built, files: Mapping[str, str], out: Path) -> dict:
+def _written(built: Built, files: Mapping[str, str], out: Path, bare: Mapping[str, Recording]) -> dict:
+    """bare: the recordings whose files have no units; the first is written as the network reads it."""
     name = built.network.name
     kept = {"rms": built.rms, "decisions": built.log.facts}
     first = next(iter(built.rms["network"]))
@@ -90,7 +85,11 @@ def _written(built: Built, files: Mapping[str, str], out: Path) -> dict:
         with replacing(out / f"{name}.diagnosis.json") as path:
             path.write_text(json_text(plain(built.diagnosis)), encoding="utf-8", newline="\n")
     judged = [n for n in built.rms["network"] if n not in files or n != first]
-    command = f"greygate compile {out / name}.toml {next(iter(files.values()))} --out {out / 'compiled'}"
+    given, path = next(iter(files.items()))
+    if bare and {*bare[given].units.values()} <= {*UNITS.values()}:
+        path = str(out / f"{name}.recording.csv")
+        bare[given].write_csv(path)
+    command = f"greygate compile {out / name}.toml {path} --out {out / 'compiled'}"
     about = {"better": _better(built, judged), "seconds": round(built.seconds, 1), "neurons": built.network.neurons()}
     text = built.log.text.splitlines()
     return plain({**kept, **about, "out": str(out / f"{name}.toml"), "next": f"next: {command}", "text": text})
