@@ -96,22 +96,41 @@ def test_a_name_that_explains_most_is_not_replaced_by_the_same_term_in_other_wor
     assert finding._alike(search, Hypothesis(("leak",)), explained, unknown) is alike
 
 
+@pytest.mark.parametrize("alike", [True, False])
+def test_a_formula_that_leaves_less_takes_the_place_of_a_name_unless_it_is_the_same(alike, monkeypatch):
+    where = {"equation": "body", "depends_on": ["v"]}
+    closed = ({"where": [where], "effect": {"confidence": 1.0}}, "closed")
+    monkeypatch.setattr(finding, "closure", lambda *given: closed)
+    monkeypatch.setattr(finding, "_no_term", lambda *given: "")
+    monkeypatch.setattr(finding, "_alike", lambda *given: alike)
+    monkeypatch.setattr(finding, "left_beside", lambda *given: [])
+    selection = SimpleNamespace(calibrated=None, outdone=lambda *given: True, left=lambda fit: "")
+    search = SimpleNamespace(part=None, in_part=lambda fit: fit, effects={"leak": SimpleNamespace(id="leak")})
+    found = finding.Found(Hypothesis(("leak",)), SimpleNamespace(values={}), None, selection)
+    claims = finding.Claims(Hypothesis(("leak",)), None, None)
+    state = finding.State(search, selection, lambda text: None, found, claims, Verdict.PARTLY_EXPLAINED, 0.98)
+    said = finding._closed(state)
+    assert (said.verdict, bool(claims.refused)) == (
+        (Verdict.PARTLY_EXPLAINED, False) if alike else (Verdict.UNEXPLAINED, True)
+    )
+
+
 @pytest.mark.parametrize(
-    ("equation", "on", "share", "doubted"),
-    [("body", ("v",), 0.5, True), ("body", ("t",), 0.5, False), ("wheel", ("v",), 0.5, False),
-     ("wheel", ("v",), 0.001, True)],
+    ("equation", "on", "share", "rough", "doubted"),
+    [("body", ("v",), 0.5, False, True), ("body", ("t",), 0.5, False, False), ("wheel", ("v",), 0.5, False, False),
+     ("wheel", ("v",), 0.001, False, True), ("wheel", ("v",), 0.5, True, True)],
 )  # fmt: skip
-def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_next_to_nothing(
-    equation, on, share, doubted
+def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_next_to_nothing_or_leaves_much(
+    equation, on, share, rough, doubted
 ):
-    """equation, on: of another claim. share: of the squared error, that the judged one takes."""
+    """equation, on: of another claim. share: of the squared error, that the judged one takes. rough: it leaves much."""
     effects = {
         "a": SimpleNamespace(equations=("body",), depends_on=("x", "v"), smooth=False),
         "b": SimpleNamespace(equations=(equation,), depends_on=on, smooth=False),
     }
     said = SimpleNamespace(
         search=SimpleNamespace(effects=effects), best=Hypothesis(("a", "b")), shares={"a": share}, only_with={},
-        _remaining=lambda: "", _rough=False,
+        _remaining=lambda: "", _rough=rough,
     )  # fmt: skip
     assert Diagnosis._doubtful(said, "a") is doubted
 

@@ -104,7 +104,8 @@ m = [60.0, "kg", 0.15, "belt and goods"]
 w = { unit = "rad/s" }
 v = { unit = "m/s" }
 [definitions]
-grip.F = { unit = "N", creep = "c * (0.08 * w - v)" }
+slip.s = { unit = "m/s", rim = "0.08 * w", belt = "-v" }
+grip.F = { unit = "N", creep = "c * s" }
 [equations]
 drum.w = { storage = "J", motor = "u", belt = "-0.08 * F", bearing = "-0.02 * w" }
 belt.v = { storage = "m", pull = "F", rollers = "-80 * v" }
@@ -310,6 +311,19 @@ def test_it_is_named_among_what_is_like_it(of, name, symbol, size, rivals, tmp_p
     assert {effect.id for effect in offered.values()} > {name}
     assert [effect["id"] for effect in found["effects"]] == [name], found["verdict"]
     assert found["effects"][0]["parameters"][symbol]["value"] == pytest.approx(size, rel=0.1)
+
+
+def test_the_loss_that_warms_is_a_power(tmp_path):
+    rig = rig_of(tmp_path / "rig", warm)
+    effect = known(rig, rig.to_explain())["warming"]
+    assert {f.symbol: f.unit for f in effect.free}["warms_i_drop_loss"] == "V A"
+
+
+def test_what_an_input_bends_begins_straight_in_a_network(tmp_path):
+    """Nobody knows its speed before the first sample."""
+    rig = rig_of(tmp_path / "rig", hysteresis)
+    effect = known(rig, rig.to_explain())["dry_friction_elastic"]
+    assert _with(rig.plant, effect, {f.symbol: f.typical for f in effect.free}).initial() == {"bent_v": 0.0}
 
 
 def test_a_grip_that_slips_is_fitted_with_its_limit(tmp_path):
