@@ -12,6 +12,7 @@ from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.excitation import Action
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.search import Hypothesis, Search
+from greygate.mismatch.verdict import Verdict
 
 
 @pytest.mark.parametrize(("both", "share", "left"), [(112.0, 0.5, 2), (112.0, 0.01, 0), (205.0, 0.01, 2)])
