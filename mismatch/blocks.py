@@ -132,7 +132,7 @@ class Judge:
                 found += self._lost(before, after, held)
             saved += np.sum(before**2 - after**2, axis=0)
         if self.halves and not self.several:
-            return found
+            return found  # of two halves neither is one out of many
         most = dict(zip(self.model.rig.predict, TOLL * saved, strict=True))
         return [loss for loss in found if not loss.cost < most[loss.channel]]
 

@@ -31,7 +31,7 @@ from greygate.mismatch.claims import (
 from greygate.mismatch.closure import closure, left_beside
 from greygate.mismatch.coloured_selection import selected
 from greygate.mismatch.cores import on_one_thread
-from greygate.mismatch.diagnosis import Diagnosis
+from greygate.mismatch.diagnosis import Diagnosis, lasting
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import excited
 from greygate.mismatch.fit import Fit
@@ -532,11 +532,9 @@ def _held_out(state: State) -> State:
     term = (state.unknown.get("effect") or {}) if not best.size else {}
     if search.unseen or not (best.size or term) or _faults(search, best):
         return state
-    once = {f.symbol for key in best.effects if search.effects[key].once for f in search.effects[key].strengths}
 
     def why(fit: Fit) -> str:
-        values = {symbol: value for symbol, value in fit.values.items() if symbol not in once}
-        return no_better(search, claims.calibrated, fit, values)
+        return no_better(search, claims.calibrated, fit, lasting(search, best, fit))
 
     if not (no := why(fit)):
         return state

@@ -146,9 +146,7 @@ class Diagnosis:
     @cached_property
     def elsewhere(self) -> dict[str, float]:
         """The values of `corrected`, without those of effects that another recording does not repeat."""
-        effects = (self.search.effects[key] for key in self.best.effects)
-        once = {f.symbol for effect in effects if effect.once for f in effect.strengths}
-        return {symbol: value for symbol, value in self.corrected.values.items() if symbol not in once}
+        return lasting(self.search, self.best, self.corrected)
 
     @cached_property
     def cannot_show(self) -> dict[str, str]:
@@ -359,6 +357,13 @@ class Diagnosis:
         place = {"equation": SENSOR + channel, "depends_on": [], "regime": ""}
         found = located(self.corrected, place, [])
         return f" ({found['regime']}, {found['time']}, {found['band']})" if "time" in found else ""
+
+
+def lasting(search: Search, best: Hypothesis, fit: Fit) -> dict[str, float]:
+    """The values of a fit, without those of effects that another recording does not repeat."""
+    effects = (search.effects[key] for key in best.effects)
+    once = {f.symbol for effect in effects if effect.once for f in effect.strengths}
+    return {symbol: value for symbol, value in fit.values.items() if symbol not in once}
 
 
 def _kept(errors: Mapping[str, float]) -> float:

@@ -4,7 +4,7 @@ A velocity may be the rate of a state, a state, a derived input or a definition;
 balance of its own. A place says by which name each goes in an entry of `general.toml`.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from itertools import combinations
 
@@ -23,7 +23,7 @@ ANGLES = ("rad",)  # whose sine and cosine are taken as they are
 FAST = ("rpm", "Hz")  # rates that need no second below
 LOADS, TILTS = ("payload",), ("gravity_x", "gravity_y", "gravity_z")  # elements that only a simulator has
 LONGEST_LINK = 400  # characters: a term may have so many, several times over
-TRIED, ABOUT_ONE = 3, (0.5, 2.0)  # values at which a link is asked whether both of its ends may move together
+TRIED, ABOUT_ONE = 3, (0.5, 2.0)  # values at which it is asked of a term how it goes with its signals
 PAIRS = 6  # of states, between which something may flow or act, or of a velocity and an input: the first ones
 
 
@@ -173,7 +173,12 @@ def _origin(plant: Plant, channel: str) -> bool:
 def _drive(rig: Rig, where: str) -> str:
     """The terms of a sum that inputs bring, themselves or through definitions, as one expression."""
     terms, driven = _sum(rig.plant, where).terms.values(), _driven(rig)
-    return "+".join(f"({text.replace(' ', '')})" for text in terms if driven & names([text]))
+    return _summed(text for text in terms if driven & names([text]))
+
+
+def _summed(terms: Iterable[str]) -> str:
+    """Terms as one expression, which has no blank: it stands in the numbers of a table of effects."""
+    return "+".join(f"({text.replace(' ', '')})" for text in terms)
 
 
 def _laws(rig: Rig) -> Iterator[Place]:
@@ -181,7 +186,7 @@ def _laws(rig: Rig) -> Iterator[Place]:
     plant = rig.plant
     used = {symbol for e in plant.equations.values() for text in e.terms.values() for symbol in _asks(plant, text)}
     for name, law in plant.definitions.items():
-        text = "+".join(f"({t.replace(' ', '')})" for t in law.terms.values())
+        text = _summed(law.terms.values())
         given = not units.powers(law.unit) or is_rate(law.unit) or _is_length(units.powers(law.unit))
         if law.symbol in used and law.symbol not in rig.predict and _asks(plant, text) & {*plant.states} and not given:
             yield {"f": law.symbol, "law": name, "sum": text}
@@ -206,9 +211,8 @@ def _resisting(rig: Rig) -> Iterator[Place]:
 
 def _against(text: str, state: str) -> bool:
     """Whether an expression has the sign that a state has not, at a few values of all, those of others above 0."""
-    random, found = np.random.default_rng(0), parse(text)
-    for _ in range(TRIED):
-        values = dict(zip(found.names, random.uniform(*ABOUT_ONE, len(found.names)), strict=True))
+    found = parse(text)
+    for values in _positive(found.names):
         if not found.over(values) < 0.0 < found.over({**values, state: -values[state]}):
             return False
     return True
@@ -298,13 +302,19 @@ def _between(plant: Plant, positions: Sequence[str], velocities: Sequence[str], 
 
 def _unmoved(text: str, together: Mapping[str, float]) -> bool:
     """Whether an expression is the same where some of its symbols move together, at a few values of all."""
-    random, found = np.random.default_rng(0), parse(text)
-    for _ in range(TRIED):
-        values = dict(zip(found.names, random.uniform(*ABOUT_ONE, len(found.names)), strict=True))
+    found = parse(text)
+    for values in _positive(found.names):
         moved = {s: value + together.get(s, 0.0) for s, value in values.items()}
         if not np.isclose(found.over(values), found.over(moved)):
             return False
     return True
+
+
+def _positive(symbols: Collection[str]) -> Iterator[dict[str, float]]:
+    """A few values above 0 of some symbols."""
+    random = np.random.default_rng(0)
+    for _ in range(TRIED):
+        yield dict(zip(symbols, random.uniform(*ABOUT_ONE, len(symbols)), strict=True))
 
 
 def _coupled(plant: Plant, one: str, other: str) -> bool:

@@ -657,8 +657,8 @@ def before(
     for _ in range(ROUNDS if paths else 0):
         slopes = np.stack([(missed(at + SLOPE * row) - error) / SLOPE for row in np.eye(len(at))], axis=1)
         step = np.linalg.lstsq(slopes, error)[0]
-        tried = [(at - step / 2**k, missed(at - step / 2**k)) for k in range(HALVINGS)]
-        trial, left = min(tried, key=lambda pair: np.abs(pair[1]).max())
+        trials = [at - step / 2**k for k in range(HALVINGS)]
+        trial, left = min(((t, missed(t)) for t in trials), key=lambda pair: np.abs(pair[1]).max())
         if not np.abs(left).max() < np.abs(error).max():
             break
         at, error = trial, left

@@ -85,11 +85,11 @@ def _written(built: Built, files: Mapping[str, str], out: Path, bare: Mapping[st
         with replacing(out / f"{name}.diagnosis.json") as path:
             path.write_text(json_text(plain(built.diagnosis)), encoding="utf-8", newline="\n")
     judged = [n for n in built.rms["network"] if n not in files or n != first]
-    given, path = next(iter(files.items()))
+    given, read_by = next(iter(files.items()))
     if bare and {*bare[given].units.values()} <= {*UNITS.values()}:
-        path = str(out / f"{name}.recording.csv")
-        bare[given].write_csv(path)
-    command = f"greygate compile {out / name}.toml {path} --out {out / 'compiled'}"
+        read_by = str(out / f"{name}.recording.csv")
+        bare[given].write_csv(read_by)
+    command = f"greygate compile {out / name}.toml {read_by} --out {out / 'compiled'}"
     about = {"better": _better(built, judged), "seconds": round(built.seconds, 1), "neurons": built.network.neurons()}
     text = built.log.text.splitlines()
     return plain({**kept, **about, "out": str(out / f"{name}.toml"), "next": f"next: {command}", "text": text})
