@@ -16,7 +16,7 @@ from imported_models import write_v73
 from scipy.io import savemat
 
 from greygate.errors import InputError
-from greygate.foreign import read_mat
+from greygate.foreign import child, read_mat
 from greygate.pages.zoomable import unpacked
 from greygate.plants.readers.read import read_channels, read_recording
 from greygate.plants.units.reading import converted, split
@@ -673,3 +673,17 @@ def test_what_reads_a_file_runs_no_code_and_opens_no_other(tmp_path):
         )  # fmt: skip
         assert (done.returncode, done.stdout) == (3, "asks for code to be run; what a file says is never run\n")
     assert not (tmp_path / "b").exists()
+
+
+@pytest.mark.parametrize("said", ["return without exception set", "returned NULL without setting an exception"])
+def test_a_reader_that_has_no_memory_left_to_say_so_is_told_from_a_damaged_file(tmp_path, said):
+    code = (
+        "import sys; from greygate.foreign import child\n"
+        "def reader():\n"
+        "    raise SystemError(sys.argv[3])\n"
+        "sys.exit(child.served({'x': reader}, 'x', sys.argv[1], sys.argv[2]))"
+    )
+    (tmp_path / "a").touch()
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / "a", tmp_path, said], capture_output=True, text=True)
+    assert done.returncode == child.MEMORY
+    assert "that reading it may take" in done.stdout

@@ -21,6 +21,7 @@ MOST = 4 << 30  # bytes that no file may exceed unpacked: half of the memory of 
 COPIES = 3  # of what it unpacks to: memory that reading may take
 SLACK = 256 << 20  # bytes of memory beside
 ARRAYS = 20_000  # variables or channels; a vehicle's largest recordings have some thousands
+_SPEECHLESS = ("without exception set", "without setting an exception")  # C code that had no memory left to say so
 LEAST = 32  # numbers that an array counts for at least: its name and place take memory too
 SECONDS = 6.0  # of computing that reading may take, and
 SECONDS_MB = 3.0  # more for each megabyte of the file
@@ -100,7 +101,7 @@ def served(readers: Mapping[str, Callable[[], Read]], kind: str, source: str, fo
         why, code = _most(), MEMORY
     except SystemError as error:
         why, code = f"{error}", DAMAGED
-        if "without exception set" in why:  # what C code says that had no memory left to say so
+        if any(words in why for words in _SPEECHLESS):
             why, code = _most(), MEMORY
     except ImportError as error:
         why, code = f"{error}", DAMAGED
