@@ -6,7 +6,7 @@ import numpy as np
 
 from greygate.pages import templates
 from greygate.pages.units import display, figure
-from greygate.pages.zoomable import DRAWN, Trace, curves
+from greygate.pages.zoomable import POINTS, Trace, curves, share
 from greygate.plants.readers.columns import Channel
 
 COLUMNS = ("channel", "unit", "in the file", "samples", "step", "jitter", "gaps", "least", "greatest")
@@ -40,10 +40,9 @@ def page(found: Sequence[Channel], source: str) -> str:
 
 def drawings(found: Sequence[Channel]) -> dict:
     """The context of `channels.html`: a table of the channels, and a drawing of each."""
-    drawn = []
+    drawn, most = [], share(len(found), POINTS)
     for c in found:
         factor, unit = display(c.unit, float(np.abs(c.values).max()))
-        drawn.append(
-            (c.name, len(c.values), curves({c.name: Trace(factor * c.values, "float")}, c.time, [unit or "1"]))
-        )
-    return {"columns": COLUMNS, "rows": rows(found), "drawn": drawn, "most": DRAWN}
+        data = curves({c.name: Trace(factor * c.values, "float")}, c.time, [unit or "1"], most)
+        drawn.append((c.name, len(c.values), data))
+    return {"columns": COLUMNS, "rows": rows(found), "drawn": drawn, "most": most}

@@ -19,7 +19,7 @@ from greygate.models.training.initial import initialised
 from greygate.models.validation import LEASH, fit_per_cent
 from greygate.pages import templates
 from greygate.pages.units import NONE, display, labelled, per_cent, shown
-from greygate.pages.zoomable import DRAWN, Trace, curves
+from greygate.pages.zoomable import POINTS, Trace, curves, share
 from greygate.plants.readers.read import read_recording
 
 COLOURS = ("float", "fixed", "cost", "extra")  # of the models, in their order; then anew
@@ -131,14 +131,15 @@ def _row(one: Predicted, errors: Sequence[float]) -> dict[str, str]:
 def page(found: Sequence[Predicted], recording: str) -> str:
     """Make one self-contained HTML page: the fits, and each output as measured and as each model predicts it."""
     outputs = dict.fromkeys(one.output for one in found)
-    drawn = [_drawn([one for one in found if one.output == output]) for output in outputs]
+    points = share(2 * len(found) + len(outputs), POINTS)
+    drawn = [_drawn([one for one in found if one.output == output], points) for output in outputs]
     title = f"Models on {recording}"
     most = max(len(one.measured) for one in found)
-    context = {"columns": COLUMNS, "rows": rows(found), "drawn": drawn, "samples": most, "most": DRAWN}
+    context = {"columns": COLUMNS, "rows": rows(found), "drawn": drawn, "samples": most, "most": points}
     return templates.render("several.html", title=title, plotly=templates.plotly(), **context)
 
 
-def _drawn(found: Sequence[Predicted]) -> tuple[str, list[tuple[str, str, str]], dict]:
+def _drawn(found: Sequence[Predicted], points: int) -> tuple[str, list[tuple[str, str, str]], dict]:
     """(output, (model, colour, fit) of each, what is drawn: the errors below)"""
     first = found[0]
     factor, unit = display(first.unit, float(np.abs(first.measured).max()))
@@ -149,7 +150,7 @@ def _drawn(found: Sequence[Predicted]) -> tuple[str, list[tuple[str, str, str]],
         traces[one.model] = Trace(near, colour)
         traces[f"error of {one.model}"] = Trace(near - one.measured * factor, colour, 1.0, below=True)
         keys.append((one.model, colour, row["fit %"]))
-    return first.output, keys, curves(traces, first.dt, (labelled(first.output, unit), labelled("error", unit)))
+    return first.output, keys, curves(traces, first.dt, (labelled(first.output, unit), labelled("error", unit)), points)
 
 
 def _near(one: Predicted) -> np.ndarray:

@@ -10,7 +10,8 @@ from itertools import pairwise
 import numpy as np
 
 LEVELS, MOMENTS = 1023, 65535  # of a curve from its least to its largest value, and of its times: several in a pixel
-DRAWN = 20_000  # longest curve that is drawn sample by sample; a longer one is drawn by least and largest of bins
+DRAWN = 20_000  # points of a curve, beside other drawings; a longer one is drawn by least and largest of bins
+POINTS = 120_000  # of all curves of a page: of noise, at uneven times, they are half a megabyte
 
 
 @dataclass(frozen=True)
@@ -27,32 +28,37 @@ class Trace:
     time: np.ndarray | None = None
 
 
-def curves(traces: Mapping[str, Trace], time: float | np.ndarray, labels: Sequence[str]) -> dict:
-    """What Plotly draws, JSON-able, numbers `packed`. time: the step [s], or the time of each sample [s].
+def share(curves: int, most: int = DRAWN) -> int:
+    """Points of each of so many curves of a page: at least the two of one bin."""
+    return max(2, min(most, POINTS // max(curves, 1)))
+
+
+def curves(traces: Mapping[str, Trace], time: float | np.ndarray, labels: Sequence[str], most: int = DRAWN) -> dict:
+    """What Plotly draws, JSON-able, numbers `packed`. time: the step [s], or the time of each sample [s]. most: points.
 
     labels: of the axis, and of the axis below where there is one. Plotly takes them as HTML, so they are escaped; the
     template's `tojson` then keeps them inside <script>.
     """
     drawn = {
-        name: _placed(trace.values, time if trace.time is None else trace.time)
+        name: _placed(trace.values, time if trace.time is None else trace.time, most)
         | {"colour": trace.colour, "width": trace.width, "below": trace.below}
         for name, trace in traces.items()
     }
     return {"traces": drawn, "labels": [escape(label, quote=False) for label in labels]}
 
 
-def thinned(y: np.ndarray) -> np.ndarray:
-    """Indices of the samples to draw: all, or those of the least and largest value of each of DRAWN / 2 bins."""
-    if len(y) <= DRAWN:
+def thinned(y: np.ndarray, most: int) -> np.ndarray:
+    """Indices of the samples to draw: all, or those of the least and largest value of each of most / 2 bins."""
+    if len(y) <= most:
         return np.arange(len(y))
-    edges = np.linspace(0, len(y), DRAWN // 2 + 1).astype(int)
+    edges = np.linspace(0, len(y), most // 2 + 1).astype(int)
     y = np.nan_to_num(y)
     bins = ((a, y[a:b]) for a, b in pairwise(edges))
     return np.unique([a + k for a, part in bins for k in (part.argmin(), part.argmax())])
 
 
-def _placed(y: np.ndarray, time: float | np.ndarray) -> dict:
-    steps = thinned(y)
+def _placed(y: np.ndarray, time: float | np.ndarray, most: int) -> dict:
+    steps = thinned(y, most)
     if isinstance(time, np.ndarray):
         return {"y": packed(y[steps]), "x": packed(time[steps], MOMENTS)}
     whole = {"x0": 0.0, "dx": time} if len(steps) == len(y) else {"x": packed(steps * time, MOMENTS)}

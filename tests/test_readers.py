@@ -17,7 +17,9 @@ from scipy.io import savemat
 
 from greygate.errors import InputError
 from greygate.foreign import child, read_mat
-from greygate.pages.zoomable import unpacked
+from greygate.pages import recorded
+from greygate.pages.zoomable import POINTS, unpacked
+from greygate.plants.readers.columns import Channel
 from greygate.plants.readers.read import read_channels, read_recording
 from greygate.plants.units.reading import converted, split
 
@@ -276,6 +278,15 @@ def test_the_page_has_every_sample_of_a_short_channel_to_zoom(tmp_path):
         np.testing.assert_allclose(
             shown, {"v_c": 1.0, "x": 1e3, "p_a": 1e-5}[name] * values, atol=traces[name]["y"]["step"]
         )  # V, mm, bar
+
+
+@pytest.mark.parametrize(("channels", "points"), [(1, POINTS), (30, POINTS // 30)])
+def test_a_page_is_below_a_megabyte_and_one_channel_is_as_fine_as_all_may_be(channels, points):
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(1e-3, 2e-3, 2 * POINTS))
+    found = [Channel(f"c{k}", "V", time, rng.uniform(-1, 1, len(time))) for k in range(channels)]
+    assert len(recorded.page(found, "a.csv")) < 1_000_000
+    assert 0.8 * points < len(unpacked(recorded.drawings(found)["drawn"][0][2]["traces"]["c0"]["y"])) <= points
 
 
 @pytest.mark.parametrize("size", [1e-300, 1e-160, 1e-323, 1e31, 1e300])

@@ -76,12 +76,12 @@ def test_a_residual_test_says_how_many_lags_chance_allows_and_why_it_failed(fold
 
 def test_a_zoomed_run_holds_every_sample_and_a_long_one_its_extremes():
     (v,) = validate(linear(), {"run": record(1000, equation_noise=0.1)}, period=0.5)
-    traces = run_data(v, 0.5)["traces"]
+    traces = run_data(v, 0.5, DRAWN)["traces"]
     drawn = unpacked(traces["measured"]["y"])
     np.testing.assert_allclose(drawn, 1e3 * v.measured, atol=0.51 * traces["measured"]["y"]["step"])
     assert traces["measured"]["dx"] == 0.5
     (v,) = validate(linear(), {"run": record(3 * DRAWN, equation_noise=0.1)}, period=0.5, horizons=(1,))
-    y, x = (unpacked(run_data(v, 0.5)["traces"]["error"][axis]) for axis in "yx")
+    y, x = (unpacked(run_data(v, 0.5, DRAWN)["traces"]["error"][axis]) for axis in "yx")
     e = 1e3 * (v.measured - v.predicted)
     assert len(x) == len(y) <= DRAWN
     assert np.all(np.diff(x) > 0)

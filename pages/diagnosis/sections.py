@@ -21,7 +21,7 @@ from greygate.pages.diagnosis import advice
 from greygate.pages.diagnosis.residual import FEW, Diagnosed, Residual, binned, dependence, edges_of, near, part_of
 from greygate.pages.figures import Curve, Scale
 from greygate.pages.units import labelled, number
-from greygate.pages.zoomable import DRAWN, Trace, curves
+from greygate.pages.zoomable import Trace, curves, share
 from greygate.plants import units
 from greygate.plants.expressions import names
 
@@ -52,11 +52,16 @@ def signals(case: Diagnosed) -> dict:
     for kind, colour in (("data sheet", "extra"), (best, "float")):
         traces[kind] = Trace(_within(near(predicted[kind][:, i], target), target) * factor, colour)
     below, unit = _inputs(case, model)
+    labels, points = [labelled(channel, label), *([unit] if below else [])], _points(case)
     return {
         "channel": channel, "record": called(case, name), "best": best, "inputs": ", ".join(below),
-        "samples": len(target),
-        "run": curves(traces | below, rig.dt, [labelled(channel, label), *([unit] if below else [])]), "drawn": DRAWN,
+        "samples": len(target), "run": curves(traces | below, rig.dt, labels, points), "drawn": points,
     }  # fmt: skip
+
+
+def _points(case: Diagnosed) -> int:
+    """Of a curve: recorded, two simulations and the inputs are drawn, and two errors of each channel."""
+    return share(3 + len(case.result.rig.inputs) + 2 * len(case.result.rig.predict))
 
 
 def called(case: Diagnosed, name: str) -> str:
@@ -147,7 +152,7 @@ COLOURS = "cost", "fixed", "ink", "soft"  # of inputs
 
 def runs(case: Diagnosed) -> dict:
     """A row of pictures per channel."""
-    return {"changed": case.changed, "runs": channels(case), "drawn": DRAWN}
+    return {"changed": case.changed, "runs": channels(case), "drawn": _points(case)}
 
 
 def channels(case: Diagnosed) -> list[dict]:
@@ -166,14 +171,14 @@ def channels(case: Diagnosed) -> list[dict]:
                 "channel": channel,
                 "record": called(case, name),
                 "samples": len(target),
-                "run": run_data(errors, result, channel),
+                "run": run_data(errors, result, channel, _points(case)),
                 "zoom": zoom_picture(result, target, drawn, channel),
             }
         )
     return rows
 
 
-def run_data(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: str) -> dict:
+def run_data(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: str, points: int) -> dict:
     """The errors over the recording, to zoom. A first window far beyond the rest is left out, not to flatten it."""
     opening = result.rig.window or 0
     later = [e[opening:] for e in errors.values()]
@@ -182,7 +187,7 @@ def run_data(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: str) 
     least, largest = figures.span([low, high], margin=1.0)
     shown = {k: np.where((e >= least) & (e <= largest), e, np.nan) * factor for k, e in errors.items()}
     traces = {kind: Trace(error, COLOUR[kind]) for kind, error in shown.items()}
-    return curves(traces, result.rig.dt, [labelled(f"error of {channel}", label)])
+    return curves(traces, result.rig.dt, [labelled(f"error of {channel}", label)], points)
 
 
 def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, np.ndarray], channel: str) -> Markup:

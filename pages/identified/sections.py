@@ -11,7 +11,7 @@ from greygate.models.network import Network
 from greygate.pages import figures as drawing
 from greygate.pages.figures import Curve
 from greygate.pages.units import display, labelled, per_cent, shown
-from greygate.pages.zoomable import DRAWN, Trace, curves
+from greygate.pages.zoomable import Trace, curves, share
 
 DOT = 1e-6  # half the length of the stroke that is a model, of where it stands
 FIRST = 12  # models in the table, before the others are unfolded
@@ -92,7 +92,7 @@ def runs(found: Identified, told: IdentifiedFacts) -> dict:
     named = {"chosen": found.network, **others(found)}
     records = dict(found.task.records) | {n: found.task.record(r) for n, r in found.tests.items()}
     output = found.task.output
-    drawn = []
+    drawn, points = [], share(len(records) * (len(named) + 2))
     for name, record in records.items():
         y = np.asarray(record.targets[output.name])
         factor, unit = display(output.unit, float(np.abs(y).max()))
@@ -101,10 +101,10 @@ def runs(found: Identified, told: IdentifiedFacts) -> dict:
             traces[label] = Trace((y + _padded(found, network, name, len(y))) * factor, colour)
         traces["error"] = Trace(_padded(found, found.network, name, len(y)) * factor, "fixed", 1.2, below=True)
         labels = (labelled(output.name, unit), labelled("error", unit))
-        drawn.append((name, curves(traces, found.network.dt or 1.0, labels)))
+        drawn.append((name, curves(traces, found.network.dt or 1.0, labels, points)))
     keys = list(zip(named, COLOURS, strict=False))
     longest = max(len(r) for r in records.values())
-    return {"runs": drawn, "keys": keys, "samples": longest, "drawn": DRAWN, "output": output.name}
+    return {"runs": drawn, "keys": keys, "samples": longest, "drawn": points, "output": output.name}
 
 
 def others(found: Identified) -> dict[str, Network]:

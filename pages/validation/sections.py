@@ -12,7 +12,7 @@ from greygate.pages import figures
 from greygate.pages.figures import Curve
 from greygate.pages.units import display, labelled, number, per_cent
 from greygate.pages.validation.judged import Judged, long_run, rows, tally
-from greygate.pages.zoomable import DRAWN, Trace, curves
+from greygate.pages.zoomable import Trace, curves, share
 from greygate.plain import plain
 
 
@@ -58,12 +58,13 @@ LINEAR = ("phi_ee", "phi_ue")
 
 def records(judged: Judged) -> dict:
     """By record, each output with its pictures."""
+    points = share(3 * len(judged.validations))
     records = {
-        name: [(v, pictures(v, judged.period)) for v in group]
+        name: [(v, pictures(v, judged.period, points)) for v in group]
         for name, group in groupby(judged.validations, key=lambda v: v.record)
     }
     names = list(dict.fromkeys(v.output for v in judged.validations))
-    return {"records": records, "names": names, "long_run": long_run, "drawn": DRAWN}
+    return {"records": records, "names": names, "long_run": long_run, "drawn": points}
 
 
 def label(test: Correlation) -> str:
@@ -71,8 +72,8 @@ def label(test: Correlation) -> str:
     return SYMBOLS[kind].format(name)
 
 
-def pictures(v: Validation, period: float) -> dict:
-    """Every drawing of one output on one record."""
+def pictures(v: Validation, period: float, points: int) -> dict:
+    """Every drawing of one output on one record. points: of a curve."""
     used = slice(v.skip, None)
     small, small_unit = display(v.unit, v.rms if math.isfinite(v.rms) else v.spread)
     residual = v.measured[used] - v.predicted[used]
@@ -84,7 +85,7 @@ def pictures(v: Validation, period: float) -> dict:
         for residual, found in v.tests.items()
     }
     return {
-        "run": run_data(v, period),
+        "run": run_data(v, period, points),
         "histogram": histogram(residual * small, small_unit) if math.isfinite(v.rms) else "",
         "response": _response(v) if v.response else "",
         "octaves": [_octave(o, small, small_unit, v.skip * period) for o in v.octaves],
@@ -105,7 +106,7 @@ def _response(v: Validation) -> Markup:
     return figures.accuracy(found["frequency"], {"response": found}, (72, 68, 90), WIDTH)
 
 
-def run_data(v: Validation, period: float) -> dict:
+def run_data(v: Validation, period: float, points: int) -> dict:
     """Measured, predicted and, below, error over time, to zoom."""
     factor, unit = display(v.unit, float(np.abs(v.measured).max()))
     small, small_unit = display(v.unit, v.rms if math.isfinite(v.rms) else v.spread)
@@ -117,7 +118,7 @@ def run_data(v: Validation, period: float) -> dict:
         "predicted": Trace(near * factor, "float"),
         "error": Trace((v.measured - near) * small, "fixed", 1.2, below=True),
     }
-    return curves(traces, period, (labelled(v.output, unit), labelled("error", small_unit)))
+    return curves(traces, period, (labelled(v.output, unit), labelled("error", small_unit)), points)
 
 
 def histogram(error: np.ndarray, unit: str) -> Markup:
