@@ -319,7 +319,7 @@ def test_a_missing_compiler_is_named(tmp_path, monkeypatch):
 
 
 def test_what_is_the_same_in_every_simulation_is_compiled_once(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(verification.caches, "folder", lambda: tmp_path / "cache")
     objects, compiled = (*verification.RUNTIME, *verification.MAIN), []
 
     def tool(command, log, environment, where):

@@ -64,6 +64,7 @@ def test_the_time_is_kept_within_the_fit_of_a_hypothesis(recording, told, runs, 
 
 def test_what_is_not_tested_in_time_is_not_claimed(recording, monkeypatch):
     slow = Slow()
+    monkeypatch.setattr(cores, "CORES", 1)  # threads side by side would spend each other's time
     monkeypatch.setattr(progress, "monotonic", slow.now)
     found = diagnose(plant(slow), recording, seconds=240 * RUN, noise_rms={"x": 1e-4}).as_dict()
     assert found["verdict"] == "unexplained"
