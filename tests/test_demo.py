@@ -19,6 +19,7 @@ SIMULATOR = ROOT / "recordings" / "pendulum"
 def test_a_sample_is_written_and_never_over_a_file(name, greygate, tmp_path):
     code, out, _ = greygate("demo", name, "--out", tmp_path / "new")
     assert (code, f"written: {tmp_path / 'new'}" in out) == (0, True)
+    assert out.splitlines()[1:] == ["then:", f"cd {tmp_path / 'new'}", *DEMOS[name].then]
     assert all((tmp_path / "new" / n).exists() for n in DEMOS[name].names)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     code, out, error = greygate("demo", name, "--out", tmp_path / "new")

@@ -1,5 +1,6 @@
 """Commands on recordings alone: look, init, init-rig."""
 
+import shlex
 from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
@@ -36,7 +37,8 @@ def demo(
 
     written = [] if name is None else write(name.value, out)
     found: Sampling = {"samples": {n: told.means for n, told in DEMOS.items()}, "written": [str(p) for p in written]}
-    then = [] if name is None else ["then:", *DEMOS[name.value].then]
+    there = [f"cd {shlex.quote(str(out))}"] if out != Path() else []
+    then = [] if name is None else ["then:", *there, *DEMOS[name.value].then]
     lines = (
         [f"written: {', '.join(found['written'])}", *then]
         if written
