@@ -191,6 +191,9 @@ _ENTRIES: dict[str, Kind] = {
 }
 
 
+_ACTING = ("terms", "filters", "equations_of", "storages")
+
+
 def effect_of(path: Path, key: str, entry: object) -> Effect:
     """One entry of a table. Raises InputError naming file, effect and what is wrong."""
     where = f"{path}: effect {key}"
@@ -198,6 +201,8 @@ def effect_of(path: Path, key: str, entry: object) -> Effect:
     brought, released = (found.pop(name, {}) for name in ("parameters", "frees"))
     if brought and released:
         raise InputError(f"{where} has parameters and frees; give one of them")
+    if not (released or any(found.get(name) for name in _ACTING)):
+        raise InputError(f"{where} changes nothing of the plant by itself; give one of {', '.join(_ACTING)} or frees")
     try:
         free = tuple(Free(s, reported=f.pop("as", s), **f) for s, f in (brought | released).items())
         return Effect(key, free=free, frees=bool(released), table=str(path), **found)

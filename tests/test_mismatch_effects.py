@@ -303,3 +303,11 @@ def test_a_filter_that_is_unknown_is_refused(car):
     effect = replace(OWN, filters={"road": "echo own_k"})
     with pytest.raises(InputError, match=r"effect own: filters\.road: 'echo'; give one of delay, lag"):
         Model(rig, rig.recording(car / "identify.csv"), {"own": effect})
+
+
+def test_an_effect_that_borrows_the_terms_of_another_is_refused(tmp_path):
+    """It would do nothing where it is simulated without the other."""
+    path = tmp_path / "effects.toml"
+    path.write_text('[lap]\nmeans = ""\nequations = ["flow_a"]\ndepends_on = []\nparameters.overlap.typical = 1e-5\n')
+    with pytest.raises(InputError, match=r"effects\.toml: effect lap changes nothing of the plant by itself; give one"):
+        table.read(path)
