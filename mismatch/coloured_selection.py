@@ -48,6 +48,9 @@ class ColouredSelection(Selection):
         self.plain, self.calibrated = calibrated, calibrated.values
         self.fits = {Hypothesis(): calibrated}
         self.runs: dict[Hypothesis, Fit] = {}  # fitted to the run itself, as if its errors were white
+        self._at, self._begun_at = calibrated, set[tuple]()  # from where runs were fitted last, and from what values
+        self._full: dict[Hypothesis, tuple[Fit, Fit]] = {}  # of these the run, and the fit that began at it
+        self._promising: dict[tuple, tuple[Fit, tuple[list[Score], list[Score]]]] = {}
         self.anew = set(beginnings(search.final.model))
 
     # -- what a diagnosis asks ---------------------------------------------------------------------------------------
@@ -74,7 +77,7 @@ class ColouredSelection(Selection):
         if not found:
             return False
         best, run = found[0]
-        fit = self.fits[best] = self.fitted(self.plain, best, run.values)
+        fit = self.fits[best] = self._fitted(self.plain, best, run)
         before, least, now = map(_squared, (self.run(nothing, self.plain), run, fit))
         saved, kept = np.mean(1.0 - least / before), np.mean(1.0 - now / before)
         return bool(saved > PART and kept < PART * saved)
@@ -178,7 +181,7 @@ class ColouredSelection(Selection):
         near = (1.0 - NEAR) * (before - rough[0][1].cost)
         found = []
         for hypothesis, run in rough:
-            fit = self.fitted(current, hypothesis, run.values)
+            fit = self._fitted(current, hypothesis, run)
             if fit.cost < getattr(self.fits.get(hypothesis), "cost", np.inf):
                 self.fits[hypothesis] = fit
             asked = price + _price(fit, current)
@@ -190,14 +193,27 @@ class ColouredSelection(Selection):
     def _rough(self, best: Hypothesis, current: Fit, ranked: list[Score]) -> list[tuple[Hypothesis, Fit]]:
         """`best` with each of `ranked`, fitted to the run itself in long steps of time; the best of them first."""
         quick = quicker(_white(current), current.values)
+        if current is not self._at:
+            self._at, self._begun_at, self._full = current, set(), {}
         found: set[Hypothesis] = set()
         for score in ranked:
             hypothesis = best.plus(score.hypothesis)
-            if not self.search.skips(hypothesis):
-                for values in (score.values, *score.others):
-                    found.add(self._begun(quick, hypothesis, {**current.values, **values}))
+            for values in (score.values, *score.others):
+                begin = (hypothesis, *values.items())
+                if begin not in self._begun_at:
+                    if self.search.skips(hypothesis):
+                        break
+                    self._begun_at.add(begin)
+                    self._begun(quick, hypothesis, {**current.values, **values})
+                found.add(hypothesis)
         runs = {h: self.runs[h] for h in found}
         return sorted(runs.items(), key=lambda f: f[1].cost + _price(f[1], current))
+
+    def _fitted(self, current: Fit, hypothesis: Hypothesis, run: Fit) -> Fit:
+        """The full fit of one of the runs that were fitted from `current` on."""
+        if self._full.get(hypothesis, (None,))[0] is not run:
+            self._full[hypothesis] = run, self.fitted(current, hypothesis, run.values)
+        return self._full[hypothesis][1]
 
     def _begun(self, quick: Coloured, hypothesis: Hypothesis, values: Mapping[str, float]) -> Hypothesis:
         """The hypothesis, its run fitted from `values` on; that of a first effect also from the best of some draws.
@@ -307,6 +323,9 @@ class ColouredSelection(Selection):
 
         Noise that is learnt from a wrong plant takes its slow errors for noise, and would rank their cause last.
         """
+        asked = (id(fit), given, count)
+        if asked in self._promising:
+            return self._promising[asked][1]
         likelihood = _white(fit)
         white = replace(fit, likelihood=likelihood, errors=likelihood.errors(fit.values, fit.shifts))
         found: tuple[list[Score], list[Score]] = ([], [])
@@ -315,6 +334,7 @@ class ColouredSelection(Selection):
             leading = list(takewhile(self._odd, scores))[:count]
             for rare, those in enumerate(found):
                 those += [*leading, *(s for s in scores if self._rare(s) is bool(rare) and s not in leading)][:count]
+        self._promising = {asked: (fit, found)}  # with the fit, whose id no other may have meanwhile
         return found
 
     def _rare(self, score: Score) -> bool:

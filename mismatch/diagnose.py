@@ -31,7 +31,7 @@ from greygate.mismatch.claims import (
 from greygate.mismatch.closure import closure, left_beside
 from greygate.mismatch.coloured_selection import selected
 from greygate.mismatch.cores import on_one_thread
-from greygate.mismatch.diagnosis import Diagnosis, lasting
+from greygate.mismatch.diagnosis import DETAIL, Diagnosis, lasting
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import excited
 from greygate.mismatch.fit import Fit
@@ -416,19 +416,24 @@ def _reduced(state: State, less: Hypothesis, why: str) -> State:
 
 
 def _confident(state: State) -> State:
-    """Beside something left no name stands that, or another in its place, is less sure than all else.
+    """Beside something left no name stands that, or another in its place, is less sure than all else, or takes no more
+    of the error than no model is exact by; where nothing is left, none that is less sure and without which all is said.
 
     One stays beside which alone surer ones are borne out: something is there, whatever it is called.
     """
-    while state.found.best.effects and state.verdict == Verdict.PARTLY_EXPLAINED:
-        sure = _diagnosis(state).placed
-        key = min(sure, key=lambda key: sure[key])
+    while state.found.best.effects and state.verdict in (Verdict.PARTLY_EXPLAINED, Verdict.MISSING_PHYSICS):
+        sure, shares = _diagnosis(state).placed, state.claims.shares
+        key = min(sure, key=lambda key: sure[key] if sure[key] < LEAST_SURE else 1.0 + shares.get(key, 1.0))
+        why = f"it came nearest, with a confidence of {sure[key]:.2g}"
         if sure[key] >= LEAST_SURE:
-            break
-        name = named(state.search, key)
-        why = f"{name} is not claimed: it came nearest, with a confidence of {sure[key]:.2g}"
-        less = _claimed(_reduced(state, state.found.best.without(key), why))
+            if state.verdict == Verdict.MISSING_PHYSICS or len(sure) == 1 or shares.get(key, 1.0) >= DETAIL:
+                break
+            why = f"it takes {shares[key]:.2%} of the error, beside what is left"
+        reduced = _reduced(state, state.found.best.without(key), f"{named(state.search, key)} is not claimed: {why}")
+        less = _claimed(reduced)
         if less.verdict == Verdict.UNEXPLAINED and max(sure.values()) >= LEAST_SURE:
+            break
+        if state.verdict == Verdict.MISSING_PHYSICS != less.verdict:
             break
         state = less
     return state

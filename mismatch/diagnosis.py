@@ -28,6 +28,7 @@ from greygate.mismatch.shown_by import Shown, shown_by
 from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
 from greygate.plants.dimensions import clashes
+from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter
 
 SCHEMA = "diagnosis/2"
@@ -239,7 +240,7 @@ class Diagnosis:
 
     def _doubtful(self, key: str) -> bool:
         """Whether an effect may stand for what no model has: something is left, any smooth curve is like it, it undoes
-        another, takes next to nothing of the error, or acts in another's equation on signals that one of both has.
+        another, takes next to nothing of the error, acts in another's equation, or reshapes its input.
         """
         effect = self.search.effects[key]
         beside = (self.search.effects[k] for k in self.best.effects if k != key)
@@ -378,9 +379,13 @@ def _weight(gap: float, detail: float) -> float:
 
 
 def _alike(one: Effect, other: Effect) -> bool:
-    """Whether two act in one equation, and one of them on nothing but signals that the other acts on, too."""
+    """Whether two act in one equation, and one of them on nothing but signals that the other acts on, too.
+
+    Or one reshapes an input that the other reads.
+    """
     mine, others = set(one.depends_on), set(other.depends_on)
-    return bool(set(one.equations) & set(other.equations)) and (mine <= others or others <= mine)
+    together = bool(set(one.equations) & set(other.equations)) and (mine <= others or others <= mine)
+    return together or any(a.filters.keys() & names(b.terms.values()) for a, b in ((one, other), (other, one)))
 
 
 def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:

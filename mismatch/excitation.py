@@ -89,13 +89,14 @@ class Action:
 
     @property
     def bent(self) -> bool:
-        """Whether no gain and no offset does the same."""
+        """Whether no gain and no offset does the same: of the signal that it changes, or of what moves a balance."""
         if not np.isfinite(self.change).all() or np.count_nonzero(self.change) < FEWEST:
             return False
         away = np.abs(self.change - np.median(self.change))
         usual = away <= usual_size(away)  # a glitch of a derived signal, as large as it may be, decides nothing
         change = self.change[usual]
-        affine = np.column_stack([np.ones(len(change)), *(signal[usual] for signal in self.moved.values())])
+        own = (signal[usual] for name, signal in self.moved.items() if self.name in ("", name))
+        affine = np.column_stack([np.ones(len(change)), *own])
         affine = affine / (np.max(np.abs(affine), axis=0) + TINY)
         left = change - affine @ np.linalg.lstsq(affine, change, rcond=None)[0]
         if not np.std(left) > ROUNDING * np.max(np.abs(change)):

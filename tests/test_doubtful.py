@@ -60,6 +60,13 @@ def test_one_glitch_of_a_derived_speed_switches_no_effect_off():
     assert not Action("", {"v": v}, 0.3 * v + 0.1).bent
 
 
+def test_what_another_signal_adds_to_a_reading_is_no_gain_of_that_reading():
+    """A gear that yields adds what drives it to the sensor, in proportion."""
+    x, drive = np.sin(np.linspace(0.0, 40.0, 2000)), np.cos(np.linspace(0.0, 90.0, 2000))
+    assert Action("x", {"drive": drive}, 0.3 * drive + 0.1).bent
+    assert not Action("x", {"x": x}, 0.3 * x + 0.1).bent
+
+
 @pytest.mark.parametrize("size", [1e3, 1e7])
 def test_how_far_an_effect_goes_is_held_against_the_channel_that_it_changes(size):
     """What depends on time has no size in seconds: here 0.1 bar of pickup over 20 s of recording."""
@@ -117,17 +124,23 @@ def test_a_formula_that_leaves_less_takes_the_place_of_a_name_unless_it_is_the_s
 
 
 @pytest.mark.parametrize(
-    ("equation", "on", "share", "rough", "doubted"),
-    [("body", ("v",), 0.5, False, True), ("body", ("t",), 0.5, False, False), ("wheel", ("v",), 0.5, False, False),
-     ("wheel", ("v",), 0.001, False, True), ("wheel", ("v",), 0.5, True, True)],
+    ("equation", "on", "filtered", "share", "rough", "doubted"),
+    [("body", ("v",), "w", 0.5, False, True), ("body", ("t",), "w", 0.5, False, False),
+     ("wheel", ("v",), "w", 0.5, False, False), ("wheel", ("v",), "u", 0.5, False, True),
+     ("wheel", ("v",), "w", 0.001, False, True), ("wheel", ("v",), "w", 0.5, True, True)],
 )  # fmt: skip
 def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_next_to_nothing_or_leaves_much(
-    equation, on, share, rough, doubted
+    equation, on, filtered, share, rough, doubted
 ):
-    """equation, on: of another claim. share: of the squared error, that the judged one takes. rough: it leaves much."""
+    """equation, on: of another claim, which reshapes the input `filtered`; the judged one reads `u`.
+
+    share: of the squared error, that the judged one takes. rough: it leaves much.
+    """
     effects = {
-        "a": SimpleNamespace(equations=("body",), depends_on=("x", "v"), smooth=False),
-        "b": SimpleNamespace(equations=(equation,), depends_on=on, smooth=False),
+        "a": SimpleNamespace(
+            equations=("body",), depends_on=("x", "v"), smooth=False, filters={}, terms={"body.a": "k * u"}
+        ),
+        "b": SimpleNamespace(equations=(equation,), depends_on=on, smooth=False, filters={filtered: "lag l"}, terms={}),
     }
     said = SimpleNamespace(
         search=SimpleNamespace(effects=effects), best=Hypothesis(("a", "b")), shares={"a": share}, only_with={},

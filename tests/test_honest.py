@@ -151,17 +151,32 @@ def test_a_name_that_something_else_outweighs_is_not_claimed(slipping, monkeypat
     assert "speed_slip is not claimed: it came nearest, with a confidence of 0.49" in found.refused
 
 
-@pytest.mark.parametrize(("without", "left"), [(Verdict.UNEXPLAINED, ("a", "b")), (Verdict.PARTLY_EXPLAINED, ("a",))])
-def test_a_name_beside_which_alone_a_surer_one_is_borne_out_stays(monkeypatch, without, left):
+MISSING, PARTLY, NOTHING = Verdict.MISSING_PHYSICS, Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED
+
+
+@pytest.mark.parametrize(
+    ("verdict", "without", "sure", "share", "left"),
+    [(PARTLY, NOTHING, 0.4, 0.1, "ab"), (PARTLY, PARTLY, 0.4, 0.1, "a"),
+     (PARTLY, PARTLY, 0.9, 0.0002, "a"), (PARTLY, PARTLY, 0.9, 0.1, "ab"), (PARTLY, NOTHING, 0.9, 0.0002, "ab"),
+     (MISSING, MISSING, 0.4, 0.1, "a"), (MISSING, PARTLY, 0.4, 0.1, "ab"), (MISSING, MISSING, 0.9, 0.0002, "ab")],
+)  # fmt: skip
+def test_a_companion_goes_that_something_else_outweighs_or_that_takes_nothing_and_is_not_needed(
+    monkeypatch, verdict, without, sure, share, left
+):
+    """without: the verdict without the companion, of which `sure` is the confidence, that takes a `share`."""
+
     def state(effects, verdict):
         search = SimpleNamespace(effects={name: SimpleNamespace(id=name) for name in "ab"})
-        return SimpleNamespace(search=search, found=SimpleNamespace(best=Hypothesis(effects)), verdict=verdict)
+        claims = SimpleNamespace(shares={"a": 0.9, "b": share})
+        return SimpleNamespace(
+            search=search, found=SimpleNamespace(best=Hypothesis(effects)), verdict=verdict, claims=claims
+        )
 
-    sure = {("a", "b"): {"a": 0.9, "b": 0.4}, ("a",): {"a": 0.9}}
-    monkeypatch.setattr(finding, "_diagnosis", lambda s: SimpleNamespace(placed=sure[s.found.best.effects]))
+    placed = {("a", "b"): {"a": 0.9, "b": sure}, ("a",): {"a": 0.9}}
+    monkeypatch.setattr(finding, "_diagnosis", lambda s: SimpleNamespace(placed=placed[s.found.best.effects]))
     monkeypatch.setattr(finding, "_reduced", lambda s, less, why: state(less.effects, without))
     monkeypatch.setattr(finding, "_claimed", lambda s: s)
-    assert finding._confident(state(("a", "b"), Verdict.PARTLY_EXPLAINED)).found.best.effects == left
+    assert finding._confident(state(("a", "b"), verdict)).found.best.effects == tuple(left)
 
 
 @pytest.mark.parametrize(("times", "said"), [(1.0, False), (1.05, False), (1.8, True)])

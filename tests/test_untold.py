@@ -6,12 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from greygate.mismatch import coloured_selection
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.coloured import Coloured, resized
-from greygate.mismatch.coloured_selection import ALIKE, _foretells, quicker
+from greygate.mismatch.coloured_selection import ALIKE, ColouredSelection, _foretells, quicker
 from greygate.mismatch.entries import Effect, Free
 from greygate.mismatch.fit import Unknown
 from greygate.mismatch.model import Model
+from greygate.mismatch.search import Hypothesis, Score
 from greygate.plants.expressions import summands
 from greygate.plants.plant import Plant
 from greygate.plants.simulator import Restarted, simulate
@@ -129,3 +131,23 @@ def test_a_plant_with_nothing_uncertain_is_fitted_too(tmp_path):
     assert fit.slopes.shape[2] == 0
     last = np.arange(len(fit.slopes)) == len(fit.slopes) - 1
     assert fit.judged(~last, last) > 0
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_run_is_fitted_once_from_one_start_and_stays_where_time_is_over(monkeypatch, late):
+    """The first look at what misleads the noise fits the very runs that the search asks for next."""
+    fitted = []
+    run = SimpleNamespace(values={}, cost=1.0)
+    search = SimpleNamespace(
+        fit=lambda *given, **__: fitted.append(given[1]) or run, skips=lambda h: bool(fitted) and late
+    )
+    selection = object.__new__(ColouredSelection)
+    selection.search, selection.runs, selection._at = search, {}, None
+    monkeypatch.setattr(coloured_selection, "quicker", lambda *given: None)
+    monkeypatch.setattr(coloured_selection, "_white", lambda fit: None)
+    monkeypatch.setattr(coloured_selection, "_price", lambda *given: 0.0)
+    given, one, other = Hypothesis(("a",)), *(Score(Hypothesis((key,)), 0.0, {key: 1.0}) for key in "bc")
+    for ranked in ([one], [one, other]):
+        found = selection._rough(given, run, ranked)
+    assert fitted == [given.plus(s.hypothesis) for s in ([one] if late else [one, other])]
+    assert [h for h, _ in found] == fitted
