@@ -141,6 +141,16 @@ def test_the_readme_counts_the_clicks_of_the_film():
     assert (found["verilog_s"] < 180, found["console"]) == (True, [])
 
 
+def test_the_readme_says_what_its_installation_takes_and_its_commands_have_run_in_it():
+    found = json.loads((ROOT / "benchmarks" / "results" / "wheel.json").read_text())["readme"]
+    text, (least, most) = " ".join((ROOT / "README.md").read_text().split()), found["installed"]
+    assert f"'.[{most['extras']}]'" in text
+    told = [f"{row['megabytes'] / 1000:.1f} GB" for row in (most, least)]
+    assert re.search(rf"it takes two minutes and {told[0]}; without .* {told[1]}:", text)
+    assert most["seconds"] < 120
+    assert {row["code"] for row in found["rows"]} == {0}
+
+
 def test_a_picture_is_below_a_megabyte_and_the_film_of_the_app_lasts_thirty_seconds():
     pictures = ROOT / "docs" / "pictures"
     assert [path.name for path in pictures.iterdir() if path.stat().st_size > 1e6] == []
