@@ -86,7 +86,7 @@ class ColouredSelection(Selection):
         """Every fit anew, in which errors have no memory but count as seldom as those of `fit` have forgotten."""
         likelihood = coloured_likelihood(fit).alike(fit.likelihood.residual(fit.values))
         self.fits = {h: self.search.fit(likelihood, h, f.values, enough=ROUGH) for h, f in self.fits.items()}
-        self.plain, self.runs = self.fits[Hypothesis()], {}
+        self.plain, self.runs, self._begun_at = self.fits[Hypothesis()], {}, set()
 
     def _beside(self, best: Hypothesis, fit: Fit) -> None:
         """Fit in full what comes as near to the recording as the best: it may be a rival."""
@@ -195,7 +195,7 @@ class ColouredSelection(Selection):
         quick = quicker(_white(current), current.values)
         if current is not self._at:
             self._at, self._begun_at, self._full = current, set(), {}
-        found: set[Hypothesis] = set()
+        found: dict[Hypothesis, None] = {}  # in order: costs may tie
         for score in ranked:
             hypothesis = best.plus(score.hypothesis)
             for values in (score.values, *score.others):
@@ -205,7 +205,7 @@ class ColouredSelection(Selection):
                         break
                     self._begun_at.add(begin)
                     self._begun(quick, hypothesis, {**current.values, **values})
-                found.add(hypothesis)
+                found[hypothesis] = None
         runs = {h: self.runs[h] for h in found}
         return sorted(runs.items(), key=lambda f: f[1].cost + _price(f[1], current))
 

@@ -426,14 +426,16 @@ def _confident(state: State) -> State:
         key = min(sure, key=lambda key: sure[key] if sure[key] < LEAST_SURE else 1.0 + shares.get(key, 1.0))
         why = f"it came nearest, with a confidence of {sure[key]:.2g}"
         if sure[key] >= LEAST_SURE:
-            if state.verdict == Verdict.MISSING_PHYSICS or len(sure) == 1 or shares.get(key, 1.0) >= DETAIL:
+            best = state.found.best
+            slight = shares.keys() <= {*best.effects, *best.released} and shares.get(key, 1.0) < DETAIL
+            if state.verdict == Verdict.MISSING_PHYSICS or len(sure) == 1 or not slight:  # or its share is another's
                 break
             why = f"it takes {shares[key]:.2%} of the error, beside what is left"
         reduced = _reduced(state, state.found.best.without(key), f"{named(state.search, key)} is not claimed: {why}")
         less = _claimed(reduced)
         if less.verdict == Verdict.UNEXPLAINED and max(sure.values()) >= LEAST_SURE:
             break
-        if state.verdict == Verdict.MISSING_PHYSICS != less.verdict:
+        if state.verdict == Verdict.MISSING_PHYSICS and less.verdict != Verdict.MISSING_PHYSICS:
             break
         state = less
     return state
@@ -552,7 +554,7 @@ def _held_out(state: State) -> State:
         if not (why(other) or unborne(search, best, other) or _no_better(judge, claims.calibrated, other)):
             return _written(state, replace(claims, fit=other))
     less = _reduced(state, Hypothesis(), f"{_named(search, best)} is taken back: {no}")
-    return _held_out(_closed(_judged(less)))
+    return _held_out(_closed(_lasting(_judged(less))))
 
 
 def _unlike(search: Search, best: Hypothesis, more: Callable[[], bool]) -> str:

@@ -28,7 +28,6 @@ from greygate.mismatch.shown_by import Shown, shown_by
 from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
 from greygate.plants.dimensions import clashes
-from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter
 
 SCHEMA = "diagnosis/2"
@@ -385,7 +384,7 @@ def _alike(one: Effect, other: Effect) -> bool:
     """
     mine, others = set(one.depends_on), set(other.depends_on)
     together = bool(set(one.equations) & set(other.equations)) and (mine <= others or others <= mine)
-    return together or any(a.filters.keys() & names(b.terms.values()) for a, b in ((one, other), (other, one)))
+    return together or any(b.uses(name) for a, b in ((one, other), (other, one)) for name in a.filters)
 
 
 def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:

@@ -138,9 +138,11 @@ def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_ne
     """
     effects = {
         "a": SimpleNamespace(
-            equations=("body",), depends_on=("x", "v"), smooth=False, filters={}, terms={"body.a": "k * u"}
+            equations=("body",), depends_on=("x", "v"), smooth=False, filters={}, uses=lambda name: name == "u"
         ),
-        "b": SimpleNamespace(equations=(equation,), depends_on=on, smooth=False, filters={filtered: "lag l"}, terms={}),
+        "b": SimpleNamespace(
+            equations=(equation,), depends_on=on, smooth=False, filters={filtered: "lag l"}, uses=lambda name: False
+        ),
     }
     said = SimpleNamespace(
         search=SimpleNamespace(effects=effects), best=Hypothesis(("a", "b")), shares={"a": share}, only_with={},

@@ -19,7 +19,7 @@ from greygate.mismatch.intervals import reported
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
 from greygate.mismatch.search import Search
-from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
+from greygate.plants.plant import Definition, Equation, Parameter, Plant, State, Values
 from greygate.plants.recording import Recording
 
 MAKERS = {maker.plant: maker for maker in (VALVE, PUMP, BELT, DRUM)}
@@ -311,3 +311,11 @@ def test_an_effect_that_borrows_the_terms_of_another_is_refused(tmp_path):
     path.write_text('[lap]\nmeans = ""\nequations = ["flow_a"]\ndepends_on = []\nparameters.overlap.typical = 1e-5\n')
     with pytest.raises(InputError, match=r"effects\.toml: effect lap changes nothing of the plant by itself; give one"):
         table.read(path)
+
+
+@pytest.mark.parametrize(("key", "size"), [("valve_overlap", 1e-5), ("valve_underlap", -1e-5)])
+def test_a_lap_narrows_or_widens_all_four_edges_and_never_the_other_ones(key, size):
+    effect = TABLE[key]
+    assert {path.partition(".")[0] for path in effect.terms} == {f"opening_{edge}" for edge in ("sa", "at", "sb", "bt")}
+    for text in effect.terms.values():
+        assert [Values(None, {"overlap": by}).evaluate(text) for by in (size, -size)] == [-size, 0.0]

@@ -151,3 +151,30 @@ def test_a_run_is_fitted_once_from_one_start_and_stays_where_time_is_over(monkey
         found = selection._rough(given, run, ranked)
     assert fitted == [given.plus(s.hypothesis) for s in ([one] if late else [one, other])]
     assert [h for h, _ in found] == fitted
+    selection._rough(given, SimpleNamespace(values={}, cost=1.0), [one])
+    assert len(fitted) == (1 if late else 3), "from another fit it begins anew"
+
+
+def test_scores_are_taken_once_for_one_fit_and_one_hypothesis(monkeypatch):
+    asked = []
+    selection = object.__new__(ColouredSelection)
+    selection.search = SimpleNamespace(scores=lambda likelihood, fit, given: asked.append(given) or [], effects={})
+    selection._promising = {}
+    noise = SimpleNamespace(errors=lambda *given: None)
+    monkeypatch.setattr(coloured_selection, "_white", lambda fit: noise)
+    monkeypatch.setattr(coloured_selection, "replace", lambda fit, **changed: fit)
+    fit, other = (SimpleNamespace(values={}, shifts=None, likelihood=noise) for _ in range(2))
+    for of, given in ((fit, "a"), (fit, "a"), (fit, "b"), (other, "b")):
+        selection.promising(of, given, 3)
+    assert asked == ["a", "a", "b", "b", "b", "b"]  # each under the noise of the fit, and under white noise
+
+
+def test_a_run_is_fitted_in_full_once(monkeypatch):
+    full = []
+    selection = object.__new__(ColouredSelection)
+    selection._full = {}
+    selection.fitted = lambda current, hypothesis, values: full.append(values) or SimpleNamespace(of=values)
+    first, better = SimpleNamespace(values={"k": 1.0}), SimpleNamespace(values={"k": 2.0})
+    found = [selection._fitted(None, Hypothesis(("a",)), run).of for run in (first, first, better)]
+    assert found == [first.values, first.values, better.values]
+    assert len(full) == 2
