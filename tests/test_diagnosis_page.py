@@ -18,8 +18,8 @@ from greygate.mismatch.words import amount
 from greygate.pages.diagnosis import advice
 from greygate.pages.diagnosis import page as draw
 from greygate.pages.diagnosis.residual import binned, dependence, residuals
-from greygate.pages.diagnosis.sections import _inputs, _within
-from greygate.pages.zoomable import unpacked
+from greygate.pages.diagnosis.sections import _inputs, _points, _within
+from greygate.pages.zoomable import DRAWN, POINTS, unpacked
 
 PLANT = """step = 1e-3
 outputs = ["x"]
@@ -105,6 +105,13 @@ def test_the_page_needs_nothing_else_and_every_picture_is_whole(drum):
     for picture in pictures:
         ElementTree.fromstring(picture)
         assert "nan" not in picture
+
+
+def test_the_curves_of_a_diagnosis_share_the_points_of_its_page():
+    """One channel is drawn with its inputs, and the errors of all."""
+    rig = SimpleNamespace(inputs=["u"] * 5, predict=["y"] * 4)
+    curves = 3 + 5 + 2 * 4
+    assert curves * _points(SimpleNamespace(result=SimpleNamespace(rig=rig))) <= POINTS < curves * DRAWN
 
 
 def test_the_page_says_what_the_diagnosis_says(drum):

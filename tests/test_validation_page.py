@@ -2,6 +2,7 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +15,10 @@ from greygate.errors import InputError
 from greygate.machines.source import Source
 from greygate.models.network import Network
 from greygate.models.validation import validate
-from greygate.pages.validation import page
+from greygate.pages.validation import page, sections
 from greygate.pages.validation.judged import judge, rows, table
 from greygate.pages.validation.sections import histogram, run_data
-from greygate.pages.zoomable import DRAWN, unpacked
+from greygate.pages.zoomable import DRAWN, POINTS, unpacked
 from greygate.plants.recording import Recording
 
 
@@ -86,6 +87,14 @@ def test_a_zoomed_run_holds_every_sample_and_a_long_one_its_extremes():
     assert len(x) == len(y) <= DRAWN
     assert np.all(np.diff(x) > 0)
     assert (y.min(), y.max()) == pytest.approx((e.min(), e.max()), rel=1e-5)
+
+
+def test_the_curves_of_a_page_share_its_points(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(sections, "pictures", lambda v, period, points: drawn.append(points))
+    validations = [SimpleNamespace(record=f"run{k}", output="y") for k in range(7)]
+    sections.records(SimpleNamespace(validations=validations, period=1.0))
+    assert 3 * sum(drawn) <= POINTS < 3 * 7 * DRAWN, "measured, predicted and error of each"
 
 
 def test_a_network_of_the_catalogue_is_judged_on_what_it_learnt_from_too(folder):
