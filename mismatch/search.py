@@ -51,6 +51,7 @@ SECANT_REACH = 3.0  # times the point to which a secant is drawn, beyond which i
 UNBOUNDED = 1e3  # standard deviations that a released parameter may go in the linearised fit: no bound in practice
 PLACES = 3  # after the point, of a share
 SHAPES = 4  # numbers of a shape that no fit moves, from which fits start: far off, the likeliest is seldom the best
+SHORTER = 0.7  # of a window in which the steps of a simulator from outside are not exact
 BELOW = 0.5  # of the noise, by which longer steps may err in the screen
 SOLVED_PAIRS = 4  # times the pairs that are wanted are solved within bounds, after a ranking without bounds
 
@@ -147,13 +148,16 @@ class Search:
             rig = replace(rig, plant=replace(rig.plant, outside=rig.plant.outside.near(recording.channels)))
         memories = [memory(run[name]) for run in recording.runs for name in rig.predict]
 
-        def over(samples: int, shares: tuple[float, float]) -> Likelihood:
-            window = min(span(samples, memories, shares, FEWEST), longest)
-            return Likelihood(modelled(rig, recording, self.effects, window))
-
-        final, screen = over(LONG_WINDOW, LONG_SHARES), over(SHORT, SHORT_SHARES)
-        screen.model = _in_fewer_steps(screen.model)
-        return final, screen
+        long, short = (
+            min(span(samples, memories, shares, FEWEST), longest)
+            for samples, shares in ((LONG_WINDOW, LONG_SHARES), (SHORT, SHORT_SHARES))
+        )
+        final, screen = (modelled(rig, recording, self.effects, window) for window in (long, short))
+        while long > short and not _exact(final):
+            long = max(round(long * SHORTER), short)
+            final = modelled(rig, recording, self.effects, long)
+        screen = _in_fewer_steps(screen)
+        return Likelihood(final), Likelihood(screen)
 
     @property
     def starts(self) -> dict[str, float]:
@@ -536,16 +540,28 @@ class Search:
         return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
 
 
-def _in_fewer_steps(model: Model) -> Model:
-    """The model of a simulator from outside in the longest steps that err by less than the noise in its windows.
+def _off(model: Model, longer: Model) -> float:
+    """By how much longer steps err in the windows of a model, in units of the noise: in the worst channel, RMS.
 
-    But for what a shift of where a window begins does, too.
+    What a shift of where a window begins does, too, is no error.
     """
-    if not model.plant.outside:
-        return model
-    run, sigma = model.predict(model.values), np.array([model.rig.channels[name].sigma for name in model.rig.predict])
-    off = ((longer, bent(longer.predict(model.values) - run, model.window)) for longer in model.longer())
-    return next((longer for longer, by in off if np.all(by <= BELOW * sigma)), model)
+    sigma = np.array([model.rig.channels[name].sigma for name in model.rig.predict])
+    return float(np.max(bent(longer.predict(model.values) - model.predict(model.values), model.window) / sigma))
+
+
+def _exact(model: Model) -> bool:
+    """Whether the steps of a simulator from outside err by less than the noise, where a model is in windows.
+
+    A step errs by what twice of it changes.
+    """
+    twice = [longer for longer in model.longer() if 2 * longer.steps == model.steps] if model.plant.outside else []
+    return all(_off(model, longer) <= 1.0 for longer in twice)
+
+
+def _in_fewer_steps(model: Model) -> Model:
+    """The model of a simulator from outside in the longest steps that err by less than the noise in its windows."""
+    longer = model.longer() if model.plant.outside else ()
+    return next((one for one in longer if _off(model, one) <= BELOW), model)
 
 
 def _over(fit: Fit, likelihood: Likelihood) -> bool:
