@@ -57,7 +57,6 @@ class Simulated:
     early: float = 0.0
     source: str = ""
     elements: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    coupled: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def parameters(self) -> Collection[str]:
