@@ -290,7 +290,7 @@ def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
         return _without(less, held, exact) if shared else fit.values
     if exact:
         other = fit.likelihood.without(held)
-        again = Likelihood.fit(other, fit.unknowns, fit.values, fit.shifts, iterations=REFIT)
+        again = Likelihood.fit(other, fit.unknowns, fit.values, fit.shifts, iterations=REFIT, sharp=False)
         return again.values
     numbers = fit.numbers + fit.step(_learnt(fit, held))
     return {**fit.values, **{u.symbol: float(u.value(n)) for u, n in zip(fit.unknowns, numbers, strict=True)}}

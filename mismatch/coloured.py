@@ -131,6 +131,7 @@ class Coloured(Likelihood):
         enough: float = ENOUGH,
         slack: float = 0.0,
         both: bool = False,
+        sharp: bool = True,
     ) -> Fit:
         """Fit plant and noise in turn until neither gains. `cost` is -2 log of the joint likelihood and the priors.
 
@@ -140,7 +141,7 @@ class Coloured(Likelihood):
         best: Fit | None = None
         for _ in range(ROUNDS if self.order else WHITE_ROUNDS):
             fit = Likelihood.fit(
-                likelihood, unknowns, values, shifts, iterations, enough=enough, slack=slack, both=both
+                likelihood, unknowns, values, shifts, iterations, enough=enough, slack=slack, both=both, sharp=sharp
             )
             residual = likelihood.residual(fit.values)
             if not np.isfinite(residual).all():

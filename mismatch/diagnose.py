@@ -43,7 +43,7 @@ from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.ruled_out import ruled_out
 from greygate.mismatch.search import WITHIN, Hypothesis, Search
-from greygate.mismatch.selection import PART, STRUCTURE, Found, Selection, shown_noise
+from greygate.mismatch.selection import EVIDENCE, PART, STRUCTURE, Found, Selection, shown_noise
 from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.stretches import pieces, stretches
 from greygate.mismatch.verdict import Verdict
@@ -292,6 +292,8 @@ def _untested(search: Search, selection: Selection, progress: Progress) -> State
     if tried:
         best = min(tried, key=lambda h: tried[h].cost)
         claims.refused.append(f"{_named(search, best)} is not claimed: there was no time to test it")
+        paid = selection.plain.cost - tried[best].cost > EVIDENCE
+        return State(search, selection, progress, found, claims, supported=best if paid else Hypothesis())
     return State(search, selection, progress, found, claims)
 
 
@@ -338,13 +340,22 @@ def _judged(state: State) -> State:
     search, selection, found = state.search, state.selection, state.found
     explained = found.of.explained(found, state.claims.calibrated)
     left, faults = selection.left(found.fit), _faults(search, found.best)
-    open_ = selection.open(found, left)
+    open_ = selection.open(found, left) or _missed(state)
     verdict = _verdict(found.best, open_, explained, selection.excess(found), faults)
     state = replace(state, verdict=verdict, explained=explained, left=left)
     if verdict != Verdict.MISSING_PHYSICS:
         return state
     unlike = _unlike(search, found.best, lambda: open_ or selection.promises(found))
     return replace(state, verdict=Verdict.PARTLY_EXPLAINED, unlike=unlike) if unlike else state
+
+
+def _missed(state: State) -> bool:
+    """Whether nothing is claimed where something paid in the search, and long windows show that something is left.
+
+    Short ones, in which little shows, do not make that consistent.
+    """
+    left = max(state.selection.structure(state.found.fit).values(), default=0.0) > STRUCTURE
+    return bool(left and state.supported.size and not state.found.best.size)
 
 
 def _held_to_tolerance(state: State) -> State:

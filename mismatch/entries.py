@@ -119,6 +119,11 @@ class Effect:
         own = () if self.frees else (f.symbol for f in self.free)
         return {*own, *self.states, *(d.symbol for d in self.definitions.values())}
 
+    @property
+    def adds(self) -> bool:
+        """Whether it only adds to balances and readings, and filters signals: it stores nothing and frees nothing."""
+        return not (self.definitions or self.states or self.equations_of or self.storages or self.frees)
+
     def uses(self, symbol: str) -> bool:
         """Whether a term that it brings along names `symbol`."""
         brought: list[Definition | Equation] = [*self.definitions.values(), *self.equations_of.values()]

@@ -70,7 +70,9 @@ def unseen(fit: Fit, learn: np.ndarray, judge: np.ndarray, exact: bool = False) 
     likelihood = fit.likelihood
     held = np.zeros(len(likelihood.sigma), bool)
     held[likelihood.kept] = np.repeat(judge, likelihood.block)
-    learnt = Likelihood.fit(likelihood.without(held), fit.unknowns, fit.values, fit.shifts, iterations=REFIT)
+    learnt = Likelihood.fit(
+        likelihood.without(held), fit.unknowns, fit.values, fit.shifts, iterations=REFIT, sharp=False
+    )
     errors = likelihood.errors(learnt.values, fit.shifts)
     return _before(replace(fit, numbers=learnt.numbers, errors=errors), judge)
 

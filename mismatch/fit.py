@@ -48,6 +48,7 @@ HALVINGS = 6  # of the way from the unknowns' origins to a start from which the 
 ENOUGH = 0.05  # of cost, a twentieth of what noise alone makes of one parameter: a further step tells nothing more
 RIDGE = 1e-9  # added to the curvature of each number, far below a prior's: what does not act on the errors stays
 WIDENED, LEAP = 4, 10.0  # times that differences are widened by that factor, for deviations, at most; they are wider
+UNKNOWN = 1e9  # scales, by which a number may be off, at most: it does nothing
 STEEPER = 2.0  # still where one of them grows by more than this: there a run sticks and slips
 LESS = 0.1  # of a difference, that in a smooth run changes as much of the errors
 STRAIGHT_RUN = 0.01  # of the change of the errors, by which a tenth of it may be off in a run that is smooth
@@ -138,7 +139,7 @@ class Fit:
 
         way: to either side, of the numbers' scales.
         """
-        other = replace(self, roughly=False) if self.roughly else copy.copy(self)
+        other = copy.copy(self)
         for name in ("normal", "information", "covariance"):
             vars(other).pop(name, None)
         vars(other)["slopes"] = other._slopes(way)
@@ -249,12 +250,14 @@ class Fit:
         It is widened for as long as slopes fall with wider differences. Where a run sticks and slips, those by small
         ones are far steeper than it is over any way that counts.
         """
-        found = self.centred(FINE)._deviations()
+        rough = self if self.roughly or self.likelihood.rough() is self.likelihood else replace(self, roughly=True)
+        found = rough.centred(FINE)._deviations()
         for times in range(1, WIDENED + 1):
-            across = self.centred(FINE * LEAP**times)._deviations()
+            across = rough.centred(FINE * LEAP**times)._deviations()
             if not np.any(across > STEEPER * found):
                 break
             found = np.maximum(found, across)
+        found = np.minimum(found, UNKNOWN)
         return {u.symbol: float(d * abs(u.scale)) for u, d in zip(self.unknowns, found, strict=True)}
 
     def _deviations(self) -> np.ndarray:
@@ -467,7 +470,7 @@ class Likelihood:
         if not symbols:
             return np.zeros((self.windows, self.block * errors.shape[1], 0))
 
-        rough = self.rough() if roughly and not both else self
+        rough = self.rough() if roughly else self
         base = errors if rough is self else rough.errors(values, shifts)
 
         def slope(u: Unknown) -> np.ndarray:
@@ -492,17 +495,19 @@ class Likelihood:
         enough: float = ENOUGH,
         slack: float = 0.0,
         both: bool = False,
+        sharp: bool = True,
     ) -> Fit:
         """The best fit near `values` (of unknowns, and of other parameters, which stay) and `shifts`.
 
         The fit has converged when a step lowers the cost by less than `enough`, or by less than `slack` as a share of
         what the cost exceeds that of noise; where the time of a search is over, it ends before. rival: a cost; a fit
         that is on no way to it gives up. tempered: errors beyond the sensors' noise are taken for what the plant leaves
-        out, so that they count less and the data sheet counts more. both: by finer slopes, to both sides. The cost is
-        inf if the run diverges from `values` and from nearer to the unknowns' origins too.
+        out, so that they count less and the data sheet counts more. both: by finer slopes, to both sides. sharp: in the
+        end by slopes of the run itself, not of one in longer steps. The cost is inf if the run diverges from `values`
+        and from nearer to the unknowns' origins too.
         """
         descent = _Descent(self, unknowns, values or {}, self.nothing() if shifts is None else shifts.copy())
-        descent.both = both
+        descent.both, descent.sharp = both, sharp
         converged = False
         with cut():
             converged = descent.at.cost < np.inf and descent.run(iterations, tempered, rival, enough, slack)
@@ -541,6 +546,7 @@ class _Descent:
     """
 
     both = False  # sides, to which slopes are taken
+    sharp = True  # whether they become those of the run itself in the end
     roughly = True  # whether slopes are of runs in longer steps, for as long as those lead down
     fine: bool | None = None  # whether small differences of the plant's numbers serve, as soon as that is known
     way = STEP  # of the differences of the others
@@ -605,8 +611,10 @@ class _Descent:
 
     def sharpened(self) -> bool:
         """Whether slopes become those of the run itself, which they were not."""
-        was, self.roughly = self.roughly, False
-        return was and self.likelihood.rough() is not self.likelihood
+        if not (self.sharp and self.roughly):
+            return False
+        self.roughly = False
+        return self.likelihood.rough() is not self.likelihood
 
     def reweigh(self) -> None:
         """Let each channel's errors count less by as much as they exceed the sensors', here."""

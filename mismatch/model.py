@@ -7,6 +7,9 @@ runs free in between. Where the rig has no window, it runs free from the first s
 import copy
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
+from threading import Lock
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -17,6 +20,7 @@ from greygate.errors import InputError
 from greygate.mismatch import filters as of
 from greygate.mismatch.entries import SENSOR, TIME, Effect
 from greygate.mismatch.joining import join
+from greygate.mismatch.responses import Responses, forced, pushes
 from greygate.mismatch.rig import IN, LINEAR, Rig
 from greygate.mismatch.runs import pieces
 from greygate.mismatch.scales import memory, noise, span
@@ -54,6 +58,21 @@ KEPT = 2  # filtered inputs that are kept beside the newest: a slope asks for tw
 START_TRIALS = 60  # runs in which starting values are fitted, at most
 
 
+class Answers:
+    """The last that was made, for whoever asks for the same."""
+
+    def __init__(self) -> None:
+        self._lock, self._key = Lock(), ()
+        self._made: Any = None
+
+    def of(self, key: tuple, make: Callable[[], Any]) -> Any:
+        """What was made for `key`, or is now."""
+        with self._lock:
+            if self._made is None or key != self._key:
+                self._key, self._made = key, make()
+            return self._made
+
+
 class Model:
     """The rig's plant over one recording; all effects have joined it, at values where they do nothing.
 
@@ -65,7 +84,8 @@ class Model:
 
     def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], window: int | None = None):
         self.rig, self.effects = rig, effects
-        self.plant, self.readings = join(rig.plant, effects.values())
+        own = pushes(rig.plant) if rig.window else ()
+        self.plant, self.readings = join(rig.plant, [*effects.values(), *own])
         timed = bool(rig.window or rig.plant.early)
         if timed:
             self._add(TIMING, "s")
@@ -156,7 +176,7 @@ class Model:
         """The same model, an unchanging input integrated in so many steps."""
         other = copy.copy(self)
         other._compiled = self._compiled.in_steps(steps)
-        other._last = (None, np.empty((0, 0)))
+        other._last, other._answers = (None, np.empty((0, 0))), Answers()
         return other
 
     def longer(self) -> Iterator["Model"]:
@@ -173,7 +193,7 @@ class Model:
         other = copy.copy(self)
         other._inputs = {**self._inputs, name: signal}
         other._parted = {**self._parted, name: self._over_parts(name, signal)}
-        other._made, other._last = {}, (None, np.empty((0, 0)))
+        other._made, other._last, other._answers = {}, (None, np.empty((0, 0))), Answers()
         return other
 
     def _take(self, recording: Recording, window: int | None) -> None:
@@ -209,6 +229,7 @@ class Model:
         self._parted |= {name: self._summed(signal) for name, signal in summed.items()}
         self._last: tuple[tuple | None, np.ndarray] = (None, np.empty((0, 0)))
         self._made: dict[tuple, dict[str, np.ndarray]] = {}
+        self._answers = Answers()
 
     def _elsewhere(self, rates: Mapping[str, str]) -> tuple[dict[str, float], dict[str, float]]:
         """Recorded states, and their rates, that do not begin at 0, where the plant's file says nothing else.
@@ -462,9 +483,13 @@ class Model:
     def predict(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> np.ndarray:
         """Predicted channels (samples, predict), in the order of `rig.predict`."""
         scope = self.scope(values, shifts)
+        columns = [np.broadcast_to(scope[channel], self.recording.samples) for channel in self.rig.predict]
+        return self._read(np.stack(columns, axis=1), values)
+
+    def _read(self, shown: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+        """What sensors read of the predicted channels (samples, predict)."""
         columns = []
-        for channel in self.rig.predict:
-            column = np.broadcast_to(scope[channel], self.recording.samples)
+        for channel, column in zip(self.rig.predict, shown.T, strict=True):
             for kind, given in self._acting(SENSOR + channel, values):
                 column = of.SENSOR[kind](column, *given, self.rig.dt)
             if any(True for _ in self._shown(channel, values)):
@@ -498,6 +523,61 @@ class Model:
             return out
 
         return give
+
+    def answering(
+        self, effect: Effect, values: Mapping[str, float], shifts: np.ndarray | None
+    ) -> Callable[[Mapping[str, float]], np.ndarray] | None:
+        """As `added`, to first order, of what acts as forces, by inputs and at sensors on a simulator from outside.
+
+        None of any other effect, and where nothing begins anew. shifts: as for `states`.
+        """
+        places, channels, states = forced(self.plant), self.rig.predict, [*self.plant.states]
+        if not (self.window and places and {*channels} <= {*states}) or not effect.adds:
+            return None
+        sensors = {SENSOR + channel for channel in self.rig.channels}
+        acting = {path.partition(".")[0] for path in effect.terms} | effect.filters.keys()
+        if not acting <= {*places, *self.rig.inputs, *sensors}:
+            return None
+        values = {**self.values, **values}
+        key = *values.items(), None if shifts is None else shifts.tobytes()
+        answers, signals, plain, first = self._answers.of(key, partial(self._answer, values, shifts))
+        scope = Values(self.plant, {**signals, **dict(zip(states, answers.states.T, strict=True))})
+        scope.update(values)
+        at = [states.index(channel) for channel in channels]
+        shows = self._read(answers.states[:, at], values)
+
+        def give(own: Mapping[str, float]) -> np.ndarray:
+            scope.update(own)
+            given, forces = {**values, **own}, dict[str, np.ndarray]()
+            for path, expression in effect.terms.items():
+                if (place := path.partition(".")[0]) in places:
+                    force = np.broadcast_to(scope.evaluate(expression), len(self.target))
+                    forces[place] = forces[place] + force if place in forces else force
+            begun = self.starts(given, signals) - first if acting & sensors else np.zeros_like(first)
+            more = (self._columns(self._signals(given)) - plain).reshape(len(self.target), self._parts, -1).mean(axis=1)
+            moved = answers.states + answers.moved(begun, more, forces)
+            return self._read(moved[:, at], given) - shows
+
+        return give
+
+    def _answer(
+        self, values: Mapping[str, float], shifts: np.ndarray | None
+    ) -> tuple[Responses, dict[str, np.ndarray], np.ndarray, np.ndarray]:
+        """(how a run answers, its input signals, those of the plant (samples * parts, inputs), where it begins)."""
+        states, signals = self.states(values, shifts)
+        columns, parts, count = self._columns(self._signals(values)), self._parts, len(states) - 1
+        rows = columns[np.arange(count)[:, None] * parts + np.arange(parts + 1)]  # those of a sample, and the next one
+        every = np.ones(states.shape[1], bool)
+
+        def step(begin: np.ndarray, more: np.ndarray, forces: Mapping[str, float]) -> np.ndarray:
+            spend(self.work)
+            check()
+            given = np.reshape(rows + more[:, None, :], (-1, columns.shape[1]))
+            ran = self._compiled.run(given, (parts + 1) * np.arange(count), begin, every, {**values, **forces})
+            return ran[parts :: parts + 1]
+
+        answers = Responses(step, states, columns[::parts], self.restarts, forced(self.plant))
+        return answers, signals, columns, self.starts(values, signals)
 
     def _shown(self, channel: str, values: Mapping[str, float]) -> Iterator[str]:
         """What a sensor's effects add to its channel, without those whose strengths are all 0."""

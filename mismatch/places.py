@@ -318,7 +318,9 @@ def _positive(symbols: Collection[str]) -> Iterator[dict[str, float]]:
 
 
 def _coupled(plant: Plant, one: str, other: str) -> bool:
-    """Whether the rate of one balance's state stands in the other balance."""
+    """Whether the rate of one balance's state stands in the other balance, or a simulator from outside says so."""
     equations = [plant.equations[name] for name in (one, other) if name in plant.equations]
     states = {equation.state for equation in equations}
+    if plant.outside and len({plant.outside.coupled.get(state, state) for state in states}) < len(states):
+        return True
     return any(states & {*equation.couples} for equation in equations)

@@ -70,3 +70,13 @@ def whole(pieces: Sequence[slice], block: int) -> tuple[int, slice | np.ndarray]
     counts = [(p.stop - p.start) // block for p in pieces]
     kept = [np.arange(p.start, p.start + n * block) for p, n in zip(pieces, counts, strict=True)]
     return sum(counts), np.concatenate(kept)
+
+
+def bent(change: np.ndarray, window: int | None) -> np.ndarray:
+    """RMS of each channel's change (samples, channels), in windows less a straight line in each."""
+    if window:
+        count = len(change) // window
+        parts = change[: count * window].reshape(count, window, -1).swapaxes(0, 1).reshape(window, -1)
+        line = np.vander(np.arange(window), 2)
+        change = (parts - line @ np.linalg.lstsq(line, parts)[0]).reshape(window * count, -1)
+    return np.sqrt(np.mean(change**2, axis=0))

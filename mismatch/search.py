@@ -5,7 +5,7 @@ ranks the hypotheses, for there even a wrong model stays near the recording. The
 """
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import TypedDict
@@ -15,11 +15,12 @@ import numpy as np
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.cores import each
 from greygate.mismatch.effects import Effect, Free, fitting
-from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
+from greygate.mismatch.fit import STEP, Fit, Likelihood, Unknown, tame
 from greygate.mismatch.linearised import Normal, index, nothing, pair_gains, released_gains, saving, solve
-from greygate.mismatch.model import BEGINS, BLUR, EARLY, MOST_EARLY, TIMING, TINY
+from greygate.mismatch.model import BEGINS, BLUR, EARLY, MOST_EARLY, TIMING, TINY, Model
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import FEWEST, IN, Rig
+from greygate.mismatch.runs import bent
 from greygate.mismatch.scales import memory, span
 from greygate.mismatch.several import modelled
 from greygate.plants.expressions import names
@@ -50,6 +51,8 @@ SECANT_REACH = 3.0  # times the point to which a secant is drawn, beyond which i
 UNBOUNDED = 1e3  # standard deviations that a released parameter may go in the linearised fit: no bound in practice
 PLACES = 3  # after the point, of a share
 SHAPES = 4  # numbers of a shape that no fit moves, from which fits start: far off, the likeliest is seldom the best
+SHORTER = 0.7  # of a window in which the steps of a simulator from outside are not exact
+BELOW = 0.5  # of the noise, by which longer steps may err in the screen
 SOLVED_PAIRS = 4  # times the pairs that are wanted are solved within bounds, after a ranking without bounds
 
 
@@ -145,11 +148,16 @@ class Search:
             rig = replace(rig, plant=replace(rig.plant, outside=rig.plant.outside.near(recording.channels)))
         memories = [memory(run[name]) for run in recording.runs for name in rig.predict]
 
-        def over(samples: int, shares: tuple[float, float]) -> Likelihood:
-            window = min(span(samples, memories, shares, FEWEST), longest)
-            return Likelihood(modelled(rig, recording, self.effects, window))
-
-        return over(LONG_WINDOW, LONG_SHARES), over(SHORT, SHORT_SHARES)
+        long, short = (
+            min(span(samples, memories, shares, FEWEST), longest)
+            for samples, shares in ((LONG_WINDOW, LONG_SHARES), (SHORT, SHORT_SHARES))
+        )
+        final, screen = (modelled(rig, recording, self.effects, window) for window in (long, short))
+        while long > short and not _exact(final):
+            long = max(round(long * SHORTER), short)
+            final = modelled(rig, recording, self.effects, long)
+        screen = _in_fewer_steps(screen)
+        return Likelihood(final), Likelihood(screen)
 
     @property
     def starts(self) -> dict[str, float]:
@@ -419,10 +427,21 @@ class Search:
         strength, where `point` is empty; else one secant from no effect to the sizes `point`.
         """
         add = None if self.points(effect) != [{}] else likelihood.model.added(effect, fit.values)
+        answer = likelihood.rough().model.answering(effect, fit.values, fit.shifts * likelihood.local_scale)
+
+        def answered(adds: Callable[[Mapping[str, float]], np.ndarray], size: Mapping[str, float]) -> np.ndarray:
+            return likelihood.rows(tame(-likelihood.white(adds(size))), fit.temper)
+
         for shape in self._shapes(effect):
             values = {**fit.values, **effect.set, **shape}
             for point in self.points(effect):
-                if point:
+                if answer and point:
+                    columns = answered(answer, {**effect.set, **shape, **point})[:, :, None]
+                elif answer:
+                    null = {**effect.set, **shape, **{f.symbol: 0.0 for f in effect.strengths}}
+                    made = [answered(answer, {**null, f.symbol: STEP * f.typical}) / STEP for f in effect.strengths]
+                    columns = np.stack(made, axis=2)
+                elif point:
                     moved = likelihood.errors({**values, **point}, fit.shifts)
                     columns = likelihood.rows(tame(moved - fit.errors), fit.temper)[:, :, None]
                 elif add is not None:
@@ -519,6 +538,30 @@ class Search:
             options = {"enough": ROUGH, "slack": SLACK, **options}
         options = {"slack": LAST_SLACK, **options}
         return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
+
+
+def _off(model: Model, longer: Model) -> float:
+    """By how much longer steps err in the windows of a model, in units of the noise: in the worst channel, RMS.
+
+    What a shift of where a window begins does, too, is no error.
+    """
+    sigma = np.array([model.rig.channels[name].sigma for name in model.rig.predict])
+    return float(np.max(bent(longer.predict(model.values) - model.predict(model.values), model.window) / sigma))
+
+
+def _exact(model: Model) -> bool:
+    """Whether the steps of a simulator from outside err by less than the noise, where a model is in windows.
+
+    A step errs by what twice of it changes.
+    """
+    twice = [longer for longer in model.longer() if 2 * longer.steps == model.steps] if model.plant.outside else []
+    return all(_off(model, longer) <= 1.0 for longer in twice)
+
+
+def _in_fewer_steps(model: Model) -> Model:
+    """The model of a simulator from outside in the longest steps that err by less than the noise in its windows."""
+    longer = model.longer() if model.plant.outside else ()
+    return next((one for one in longer if _off(model, one) <= BELOW), model)
 
 
 def _over(fit: Fit, likelihood: Likelihood) -> bool:

@@ -112,7 +112,18 @@ class Several(Model):
     def added(self, effect: Effect, values: Mapping[str, float]) -> Callable[[Mapping[str, float]], np.ndarray] | None:
         each = zip(self.all, self.in_each({**self.values, **values}), strict=True)
         found = [m.added(effect, v) for m, v in each]
-        return None if None in found else lambda own: np.concatenate([give(own) for give in found if give])
+        return _joined(found)
+
+    def answering(
+        self, effect: Effect, values: Mapping[str, float], shifts: np.ndarray | None
+    ) -> Callable[[Mapping[str, float]], np.ndarray] | None:
+        each = zip(self.all, self.in_each({**self.values, **values}), self._shifts(shifts), strict=True)
+        return _joined([m.answering(effect, v, s) for m, v, s in each])
+
+
+def _joined(found: list) -> Callable[[Mapping[str, float]], np.ndarray] | None:
+    """What one gives of each recording, end to end; None where one gives nothing."""
+    return None if None in found else lambda own: np.concatenate([give(own) for give in found])
 
 
 def by_rule(model: Model, values: Mapping[str, float], skip: int = 0) -> tuple[np.ndarray, np.ndarray]:

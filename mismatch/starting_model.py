@@ -11,6 +11,7 @@ from greygate.errors import InputError, shown
 from greygate.files import replacing_folder
 from greygate.mismatch.model import TIMING, Model
 from greygate.mismatch.rig import FEWEST, HOLDOUT, IDENTIFY, SHORTEST, Channel, Rig, load
+from greygate.mismatch.runs import bent
 from greygate.mismatch.scales import memory, noise
 from greygate.mismatch.starting import KEPT, RigStart, listed, write
 from greygate.names import check_name
@@ -169,24 +170,14 @@ def _finer(rig: Rig, recording: Recording) -> float:
     for halved in range(HALVED + 1):
         model = Model(replace(rig, plant=replace(rig.plant, step=first / 2**halved)), recording, {})
         now = model.predict(model.values | dict.fromkeys({TIMING} & model.values.keys(), model.early_by))
-        off = _bent(now - before, rig.window) if halved else np.inf
+        off = bent(now - before, rig.window) if halved else np.inf
         if np.all(off <= sigma):
             return first / 2 ** (halved - 1) if halved > 1 else rig.plant.step
-        if halved == 1 and np.all(_bent(model.target - own, rig.window) < off):
+        if halved == 1 and np.all(bent(model.target - own, rig.window) < off):
             return rig.plant.step
         own = own if halved else model.predict(model.values)
         before = now
     return first / 2**HALVED
-
-
-def _bent(change: np.ndarray, window: int | None) -> np.ndarray:
-    """RMS of each channel's change (samples, channels), in windows less a straight line in each."""
-    if window:
-        count = len(change) // window
-        parts = change[: count * window].reshape(count, window, -1).swapaxes(0, 1).reshape(window, -1)
-        line = np.vander(np.arange(window), 2)
-        change = (parts - line @ np.linalg.lstsq(line, parts)[0]).reshape(window * count, -1)
-    return np.sqrt(np.mean(change**2, axis=0))
 
 
 def _shortest(signals: Sequence[np.ndarray]) -> float:

@@ -146,6 +146,14 @@ class Expression:
                 return Expression(condition, tuple(_names(condition)), _quiet(_computed(condition)))
         return None
 
+    @property
+    def chosen(self) -> "Expression":
+        """What it is under its `condition`."""
+        match self.tree:
+            case Call("when", (_, value)):
+                return Expression(value, tuple(_names(value)), _quiet(_computed(value)))
+        return self
+
     def source(self) -> str:
         """The expression in Python for numba; the x of `when(c, x)` is computed only where c is not 0."""
         return _written(self.tree, _TEST, True)

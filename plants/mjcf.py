@@ -110,11 +110,19 @@ def restored(x, qpos, qvel, act):
 
 
 @jit
+def steep(slope):
+    for j in range(len(slope)):
+        if slope[j] > 0.0:
+            return True
+    return False
+
+
+@jit
 def advance(at, x, slope):
     model, data, qpos, qvel, act = at[:5]
     damping, own, integrator, n = at[8], at[9], at[12], len(qpos)
     if integrator == 1:
-        if np.any(slope > 0.0):
+        if steep(slope):
             lessened(at, x, slope)
         mj_RungeKutta(model, data, 4)
     else:
@@ -192,6 +200,7 @@ class Simulated:
     elements: Mapping[tuple[str, str], str]
     controls: tuple[str, ...]
     loads: tuple[Load, ...]
+    coupled: Mapping[str, int]
     fixed: bool = False
     source: str = SOURCE + RUN
     shown: Collection[str] = ()
@@ -530,9 +539,10 @@ class _Reading:
         for a, name in enumerate(self.actuators if not self.torques else ()):
             controls[self._address(a)] = name
         self._gravity()
+        trees = {f"v_{name}": int(tree) for name, tree in zip(self.joints, model.dof_treeid, strict=True)}
         outside = Simulated(
             self.path, model, tuple(self.states), len(self.joints), self.settings, own, self.elements, tuple(controls),
-            tuple(self.loads),
+            tuple(self.loads), trees,
         )  # fmt: skip
         return Plant(
             self.path.stem, self.parameters, self.inputs, self.states, self._equations(activations),

@@ -31,6 +31,7 @@ class Outside(Protocol):
     substeps, out, at)`, whose `at` is what `lent` lends; or what `RUN` needs for that, and `RUN`.
     steps: whether it has steps of its own; else of the plant. whole: whether it may not begin within a recording, for
     nobody records all of its states. timed: whether what it computes depends on time itself.
+    coupled: velocity -> the number of the mass matrix that couples it with others of that number, if one does.
     loop: what runs the plant in place of its compiled module, in a process of its own; None: the module itself.
     """
 
@@ -60,6 +61,8 @@ class Outside(Protocol):
     def timed(self) -> bool: ...
     @property
     def early(self) -> float: ...
+    @property
+    def coupled(self) -> Mapping[str, int]: ...
     @property
     def loop(self) -> Callable[[str], Any] | None: ...
     def lent(self, inputs: Sequence[str], values: Mapping[str, float], step: float) -> AbstractContextManager[Any]:
@@ -109,6 +112,15 @@ RUN = '''
 STIFF = 0.1  # of a step's change of velocity that a force resists: from there on its end is solved for
 CLOSE = 1e-3  # of that change, by which the end may be off
 ROUNDS = 30  # of halving and secants, at most
+
+
+@jit
+def some(on):
+    """Whether any is on; of no literal, for which numba would compile all that takes it once more."""
+    for block in on:
+        if block:
+            return True
+    return False
 
 
 @jit
@@ -176,15 +188,17 @@ def solved(at, i, x, u, p, on, acting, h, force, trial, moved, slope):
 @jit
 def run(x, inputs, parameters, low, high, rate, h, substeps, out, at):
     """Fill out[sample] with the state at each sample; return the first sample that is not finite, or -1."""
-    n = len(x)
+    n, count = len(x), 0
     k, y, force, moved, trial = np.empty((6, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    slope = np.zeros(FORCED)
-    bounded = np.array([j for j in range(STEPPED, n) if low[j] > -np.inf or high[j] < np.inf], np.int64)
+    slope, bounded = np.zeros(FORCED), np.empty(n, np.int64)
     on = asked(parameters)
-    acting = False
-    for block in on:
-        acting |= block
-    out[0] = x
+    acting = some(on)
+    for j in range(n):
+        out[0, j] = x[j]
+        if j >= STEPPED and (low[j] > -np.inf or high[j] < np.inf):
+            bounded[count] = j
+            count += 1
+    bounded = bounded[:count]
     begin(at, x)
     for sample in range(len(inputs) - 1):
         u = inputs[sample]

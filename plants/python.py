@@ -336,6 +336,7 @@ class _Steps:
     loop: None = None
     source: str = STEP + RUN
     elements: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    coupled: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def stepped(self) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ compile again; only which terms `when(p, ...)` are off by the plant's own values
 """
 
 import copy
+import re
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -257,7 +258,12 @@ def source(plant: Plant) -> str:
     full = _derivative("derivative", plant, blocks)
     bare = _derivative("bare", _bare(plant), []) if blocks else ["bare = derivative", ""]
     asked = [f"    _on[{i}] = {condition}" for i, condition in enumerate(blocks)]
-    lines += ["@jit", "def asked(_p):", *_taken("_p", plant.parameters), f"    _on = np.empty({len(blocks)}, np.bool_)"]
+    lines += [
+        "@jit",
+        "def asked(_p):",
+        *_taken(asked, _p=plant.parameters),
+        f"    _on = np.empty({len(blocks)}, np.bool_)",
+    ]
     lines += [*asked, "    return _on", "", *full, *bare]
     if plant.outside is not None and plant.outside.loop is not None:
         sizes = {"x": len(plant.states), "u": len(plant.inputs), "p": len(plant.parameters), "on": len(blocks)}
@@ -288,14 +294,20 @@ def _added(plant: Plant) -> Plant:
     return plant if plant.outside is None else plant.without(*plant.outside.own)
 
 
-def _taken(array: str, symbols: Iterable[str]) -> list[str]:
-    return [f"    {symbol} = {array}[{i}]" for i, symbol in enumerate(symbols)]
+def _taken(body: Iterable[str], **arrays: Iterable[str]) -> list[str]:
+    """Lines that take from arrays the symbols that stand in a function's body: each line takes numba milliseconds."""
+    used = {word for line in body for word in re.findall(r"\w+", line)}
+    return [
+        f"    {symbol} = {array}[{i}]"
+        for array, symbols in arrays.items()
+        for i, symbol in enumerate(symbols)
+        if symbol in used
+    ]
 
 
 def _derivative(name: str, plant: Plant, blocks: list[str]) -> list[str]:
     """Lines of a function that computes the states' rates. blocks: to which the condition of each block is added."""
-    lines = ["@jit", f"def {name}(_x, _u, _p, _on, _dx):", *_taken("_p", plant.parameters)]
-    lines += [*_taken("_u", plant.inputs), *_taken("_x", plant.states)]
+    lines: list[str] = []
     used = names(t for equation in plant.equations.values() for t in equation.texts)
     for definition in plant.needed(used):
         lines += _summed(definition.symbol, definition, plant, blocks)
@@ -308,7 +320,8 @@ def _derivative(name: str, plant: Plant, blocks: list[str]) -> list[str]:
             continue
         storage = parse(group[0].storage).source()
         lines.append(f"    _dx[{states.index(group[0].state)}] = _b0 / ({storage})")
-    return [*lines, ""]
+    taken = _taken(lines, _p=plant.parameters, _u=plant.inputs, _x=plant.states)
+    return ["@jit", f"def {name}(_x, _u, _p, _on, _dx):", *taken, *(lines or ["    pass"]), ""]
 
 
 def _off(plant: Plant, term: str) -> str | None:
@@ -360,13 +373,15 @@ def _solved(group: list[Equation], states: list[str]) -> list[str]:
 
 def _summed(name: str, place: Equation | Definition, plant: Plant, blocks: list[str]) -> list[str]:
     """Lines that set `name` to the sum of the terms; those that are off stand behind, in blocks."""
-    switched = [(parse(t).source(), c) for t in place.terms.values() if (c := _off(plant, t)) is not None]
+    switched = [(parse(t).chosen.source(), c) for t in place.terms.values() if (c := _off(plant, t)) is not None]
     always = (f"({parse(t).source()})" for t in place.terms.values() if _off(plant, t) is None)
     lines = [f"    {name} = {' + '.join(always) or '0.0'}"]
     for first in range(0, len(switched), BLOCK):
         block = switched[first : first + BLOCK]
-        lines += [f"    if _on[{len(blocks)}]:", *(f"        {name} += {term}" for term, _ in block)]
-        blocks.append(" or ".join(f"({condition}) != 0.0" for _, condition in block))
+        lines.append(f"    if _on[{len(blocks)}]:")
+        for term, condition in block:  # a statement each: an expression with `else` takes numba half as long again
+            lines += [f"        if {condition} != 0.0:", f"            {name} += {term}"]
+        blocks.append(" | ".join(f"(({condition}) != 0.0)" for _, condition in block))
     return lines
 
 

@@ -14,13 +14,13 @@ from greygate.mismatch.diagnosis import READ
 from greygate.mismatch.entries import fitting
 from greygate.mismatch.fit import Unknown
 from greygate.mismatch.general import general
-from greygate.mismatch.model import Model
+from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.rig import load
 from greygate.mismatch.search import Search
 from greygate.mismatch.stretches import stretches
 from greygate.plants import kinds, mjcf
 from greygate.plants.plant import Plant
-from greygate.plants.simulator import simulate
+from greygate.plants.simulator import Restarted, simulate
 from greygate.progress import silent
 
 mujoco = pytest.importorskip("mujoco")
@@ -593,3 +593,56 @@ def test_slopes_of_an_arm_in_finer_steps_are_those_of_longer_ones(tmp_path):
     assert 0 < np.linalg.norm(exact - longer) < 0.05 * np.linalg.norm(exact)
     assert likelihood.fit(unknown, rival=1e9).roughly  # that only ranks
     assert not likelihood.fit(unknown).roughly
+
+
+ADDING = (
+    "dry_friction_static",
+    "ripple",
+    "place_friction",
+    "input_delay",
+    "input_dead_zone",
+    "sensor_gain",
+    "lost_samples",
+)
+
+
+@pytest.fixture
+def adding(tmp_path):
+    """The search among effects that only add to an arm, in windows of 0.1 s; its elbow has dry friction."""
+    write(tmp_path, loss=0.0)
+    rig = replace(record(tmp_path, write(tmp_path, "other.xml", loss=0.02), "damping_shoulder"), window=20)
+    found = {k: e for k, e in general(rig, rig.to_explain()).items() if k.startswith(ADDING)}
+    return Search(rig, rig.to_explain(), found)
+
+
+def test_what_effects_do_to_an_arm_is_told_by_a_linear_step_a_sample(adding, monkeypatch):
+    """As by simulating each of them, in a fraction of the runs."""
+    fit, runs = adding.base(adding.screen), []
+    ran = Restarted.run
+    monkeypatch.setattr(Restarted, "run", lambda *given: runs.append(1) or ran(*given))
+
+    def columns():
+        return {
+            (key, i): column
+            for key, effect in adding.effects.items()
+            for i, (*_, column) in enumerate(adding.directions(adding.screen, fit, effect))
+        }
+
+    told, few = columns(), len(runs)
+    monkeypatch.setattr(Model, "answering", lambda *given: None)
+    simulated = columns()
+    assert {key for key, _ in told} == adding.effects.keys()
+    assert few < 0.3 * (len(runs) - few)
+    off = {key: np.linalg.norm(told[key] - one) / (np.linalg.norm(one) + TINY) for key, one in simulated.items()}
+    assert max(off.values()) < 0.15
+    assert np.median([*off.values()]) < 0.02
+
+
+@pytest.mark.parametrize(("noise", "steps"), [(1e-2, 1), (1e-7, 20)])
+def test_the_screen_takes_the_longest_steps_that_err_by_less_than_the_noise(adding, noise, steps):
+    rig = adding.rig
+    channels = {n: replace(c, noise=noise) if n in rig.predict else c for n, c in rig.channels.items()}
+    rig = replace(rig, plant=replace(rig.plant, step=DT / 20), channels=channels)
+    search = Search(rig, rig.to_explain(), adding.effects)
+    assert search.final.model.steps == 20
+    assert search.screen.model.steps == steps

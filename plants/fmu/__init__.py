@@ -57,6 +57,7 @@ class Simulated:
     early: float = 0.0
     source: str = ""
     elements: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    coupled: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def parameters(self) -> Collection[str]:
