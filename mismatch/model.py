@@ -180,7 +180,9 @@ class Model:
         return other
 
     def longer(self) -> Iterator["Model"]:
-        """The same model in longer steps of time, the longest first."""
+        """The same model in longer steps of time, the longest first; none of a simulator whose steps are fixed."""
+        if self.plant.outside and self.plant.outside.fixed:
+            return
         for steps in (n for n in range(1, self.steps) if self.steps % n == 0):
             other = copy.copy(self)
             other._parts = next(parts for parts in range(PARTS, 0, -1) if steps % parts == 0)

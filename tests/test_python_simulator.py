@@ -108,6 +108,14 @@ def test_a_step_moves_as_the_function_says_in_every_bit(compiled):
     assert np.array_equal(run(plant), wanted)
 
 
+@pytest.mark.parametrize(("function", "steps"), [(rates, [1, 2, 5]), (euler, [])])
+def test_only_a_function_of_rates_is_run_in_longer_steps(function, steps):
+    recording = greygate.Recording(DT, {"force": force(), "x": force()}, {"force": "N", "x": "m"})
+    model = Model(rig_of(cart(function), recording), recording, {})
+    assert model.steps == 10
+    assert [longer.steps for longer in model.longer()] == steps
+
+
 @pytest.mark.parametrize(("function", "within"), [(rates, 1e-12), (euler, 2e-3)])
 def test_a_term_acts_in_the_balance_with_the_unit_that_storage_gives(function, within):
     term = "motion_v", "dry", "-k * tanh(v / 0.01)", {"k": Parameter(0.7, "N")}

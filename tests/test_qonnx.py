@@ -328,12 +328,19 @@ def static(folder, x, each, signed, bits=8, **extra):
     return file
 
 
+def unmoved(file, x):
+    """What the file says, in no kernel of the optimizer: those of 8 bits saturate on a processor without VNNI."""
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    return onnxruntime.InferenceSession(str(file), options).run(None, {"x": x})[0]
+
+
 @pytest.mark.parametrize("each", [False, True])
 @pytest.mark.parametrize("signed", [False, True])
 def test_a_static_quantization_of_onnxruntime_gives_every_code_of_it(each, signed, tmp_path):
     x = np.random.default_rng(7).normal(size=(N, 3)).astype(np.float32)
     file = static(tmp_path, x, each, signed)
-    (expected,) = onnxruntime.InferenceSession(str(file)).run(None, {"x": x})
+    expected = unmoved(file, x)
     found, scales = answered(file, x)
     assert np.abs(found - expected).max() < 1e-3 * max(scales)
     assert len(np.unique(expected)) > 20
@@ -343,9 +350,7 @@ def test_a_static_quantization_to_16_bits_in_the_domain_of_onnxruntime_is_read(t
     """Its optimizer moves such codes by hundreds, so what runs beside the network is not optimized."""
     x = np.random.default_rng(7).normal(size=(N, 3)).astype(np.float32)
     file = static(tmp_path, x, True, False, 16, UseQDQContribOps=True)
-    options = onnxruntime.SessionOptions()
-    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
-    (expected,) = onnxruntime.InferenceSession(str(file), options).run(None, {"x": x})
+    expected = unmoved(file, x)
     found, scales = answered(file, x)
     assert np.abs(found - expected).max() < 2 * max(scales)
     columns = {f"x_{k + 1}": x[:, k].astype(float) for k in range(3)}
