@@ -287,11 +287,12 @@ def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
             fixed={**fit.fixed, **own},
         )
         vars(less).update(slopes=fit.slopes[:, :, shared], projected=fit.projected, basis=fit.basis)
+        if exact:
+            by_shifts, by_numbers = fit.moves
+            vars(less)["moves"] = by_shifts, by_numbers[:, :, shared]
         return _without(less, held, exact) if shared else fit.values
     if exact:
-        other = fit.likelihood.without(held)
-        again = Likelihood.fit(other, fit.unknowns, fit.values, fit.shifts, iterations=REFIT, sharp=False)
-        return again.values
+        return fit.without(held, REFIT)
     numbers = fit.numbers + fit.step(_learnt(fit, held))
     return {**fit.values, **{u.symbol: float(u.value(n)) for u, n in zip(fit.unknowns, numbers, strict=True)}}
 

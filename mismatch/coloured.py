@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import ENOUGH, ITERATIONS, Fit, Likelihood, Unknown
+from greygate.mismatch.fit import ENOUGH, ITERATIONS, Descent, Fit, Likelihood, Unknown
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.runs import along, whole
@@ -131,24 +131,22 @@ class Coloured(Likelihood):
         enough: float = ENOUGH,
         slack: float = 0.0,
         both: bool = False,
-        sharp: bool = True,
     ) -> Fit:
         """Fit plant and noise in turn until neither gains. `cost` is -2 log of the joint likelihood and the priors.
 
         tempered, rival: without effect, for noise takes up what the plant leaves out, and its size is not known before.
         """
-        likelihood, values = self, dict(values or {})
+        descent, likelihood = Descent(self, unknowns, values or {}, self.nothing()), self
+        descent.both = both
         best: Fit | None = None
         for _ in range(ROUNDS if self.order else WHITE_ROUNDS):
-            fit = Likelihood.fit(
-                likelihood, unknowns, values, shifts, iterations, enough=enough, slack=slack, both=both, sharp=sharp
-            )
-            residual = likelihood.residual(fit.values)
+            fit = descent.ended(iterations, enough=enough, slack=slack)
+            residual = descent.at.residual
             if not np.isfinite(residual).all():
                 return best or replace(fit, cost=np.inf)
             likelihood = likelihood.learnt(residual)
+            descent.under(likelihood)
             joint = likelihood.deviance() + float(np.sum(fit.weight * fit.numbers**2))
-            values = fit.values
             fit = replace(fit, likelihood=likelihood, errors=likelihood.white(residual), cost=joint)
             gain = np.inf if best is None else best.cost - joint
             if gain > 0:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.mismatch.coloured import Coloured
-from greygate.mismatch.fit import HELD, Fit, Likelihood
+from greygate.mismatch.fit import HELD, Fit
 
 FALSE = 0.02  # of all names may be wrong
 FOLDS, REFIT = 5, 8  # parts of an exact judgement; iterations of a fit without one, which begins at that to all
@@ -70,11 +70,9 @@ def unseen(fit: Fit, learn: np.ndarray, judge: np.ndarray, exact: bool = False) 
     likelihood = fit.likelihood
     held = np.zeros(len(likelihood.sigma), bool)
     held[likelihood.kept] = np.repeat(judge, likelihood.block)
-    learnt = Likelihood.fit(
-        likelihood.without(held), fit.unknowns, fit.values, fit.shifts, iterations=REFIT, sharp=False
-    )
-    errors = likelihood.errors(learnt.values, fit.shifts)
-    return _before(replace(fit, numbers=learnt.numbers, errors=errors), judge)
+    values = fit.without(held, REFIT)
+    numbers = np.array([u.number(values[u.symbol]) for u in fit.unknowns])
+    return _before(replace(fit, numbers=numbers, errors=likelihood.errors(values, fit.shifts)), judge)
 
 
 def _before(fit: Fit, judge: np.ndarray) -> float:

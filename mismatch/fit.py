@@ -12,9 +12,10 @@ Golub, Pereyra 1973). Covariance of n: B (S'S + L) B with B = (J'J + L)^-1 and S
 """
 
 import copy
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -57,6 +58,8 @@ HOPED = 2.0  # times the gain of its last step, that a fit may still gain: near 
 NEAR = 0.1  # of what the rival's cost exceeds that of noise: a fit that is not hoped to come so near gives up,
 FAR = 100.0  # or farther than this cost, which is more than any evidence asked for
 
+Seen = Callable[[Mapping[str, float], np.ndarray], np.ndarray]
+
 
 @dataclass(frozen=True)
 class Unknown:
@@ -97,8 +100,7 @@ class Fit:
     shifts: of the windows' first states, in units of their scales (restarts, locals).
     errors: (target - prediction) / sigma, (samples, channels). weight: of each number's square in the cost (k,).
     cost: sum of squares of the tempered errors, of the shifts and of the numbers, each by its prior.
-    temper: what the errors of each channel were divided by (channels,). roughly: whether its slopes are of runs in
-    longer steps, which is enough to rank it.
+    temper: what the errors of each channel were divided by (channels,). way: of differences that lead on from here.
     """
 
     likelihood: "Likelihood"
@@ -111,7 +113,7 @@ class Fit:
     cost: float
     converged: bool
     temper: np.ndarray
-    roughly: bool = False
+    way: float = STEP
 
     @property
     def room(self) -> np.ndarray:
@@ -121,7 +123,7 @@ class Fit:
     @cached_property
     def basis(self):
         """Of each window's shifts: (q, r), or None where nothing is shifted."""
-        return self.likelihood.basis(self.values, self.shifts, self.errors, self.temper, self.roughly)
+        return self.likelihood.basis(self.values, self.shifts, self.errors, self.temper)
 
     @cached_property
     def slopes(self) -> np.ndarray:
@@ -129,9 +131,7 @@ class Fit:
         return self._slopes()
 
     def _slopes(self, both: float = 0.0) -> np.ndarray:
-        slopes = self.likelihood.slopes(
-            self.unknowns, self.values, self.shifts, self.errors, self.temper, both, roughly=self.roughly
-        )
+        slopes = self.likelihood.slopes(self.unknowns, self.values, self.shifts, self.errors, self.temper, both)
         return self.likelihood.eliminate(slopes, None, self.basis)[0]
 
     def centred(self, way: float) -> "Fit":
@@ -152,6 +152,29 @@ class Fit:
         tail = None if self.basis is None else (np.sqrt(self.likelihood.heavy) * shifts)[:, :, None]
         rows = self.likelihood.rows(self.errors, self.temper)[:, :, None]
         return self.likelihood.eliminate(rows, tail, self.basis)[0][:, :, 0]
+
+    @cached_property
+    def moves(self) -> tuple[np.ndarray, np.ndarray]:
+        """How the residual moves with each of the windows' shifts and with the numbers (samples, channels, each)."""
+        rough, seen = self.likelihood.roughly()
+        given = seen, seen(self.values, self.shifts), self.values, self.shifts
+        return rough.by_shifts(*given), rough.by_numbers(self.unknowns, *given, step=self.way)
+
+    def without(self, held: np.ndarray, iterations: int) -> dict[str, float]:
+        """The values of a fit to all samples but those `held` (samples,) of bool, which begins here.
+
+        It is led by the slopes here for as long as they lead down.
+        """
+        key = held.tobytes(), iterations
+        if key not in self._without:
+            descent = Descent(self.likelihood.without(held), self.unknowns, self.values, self.shifts.copy())
+            descent.moves, descent.fine, descent.way = self.moves, False, self.way
+            self._without[key] = descent.ended(iterations).values
+        return self._without[key]
+
+    @cached_property
+    def _without(self) -> dict[tuple[bytes, int], dict[str, float]]:
+        return {}
 
     @property
     def flat(self) -> np.ndarray:
@@ -250,10 +273,9 @@ class Fit:
         It is widened for as long as slopes fall with wider differences. Where a run sticks and slips, those by small
         ones are far steeper than it is over any way that counts.
         """
-        rough = self if self.roughly or self.likelihood.rough() is self.likelihood else replace(self, roughly=True)
-        found = rough.centred(FINE)._deviations()
+        found = self.centred(FINE)._deviations()
         for times in range(1, WIDENED + 1):
-            across = rough.centred(FINE * LEAP**times)._deviations()
+            across = self.centred(FINE * LEAP**times)._deviations()
             if not np.any(across > STEEPER * found):
                 break
             found = np.maximum(found, across)
@@ -419,25 +441,68 @@ class Likelihood:
         other.model = longer
         return other
 
-    def basis(self, values: Mapping[str, float], shifts: np.ndarray, errors, temper: np.ndarray, roughly=False):
-        """(q, r) of each window's own shifts, their prior in the last rows; None where nothing is shifted.
+    def basis(self, values: Mapping[str, float], shifts: np.ndarray, errors, temper: np.ndarray):
+        """(q, r) of each window's own shifts, their prior in the last rows; None where nothing is shifted."""
+        rough, base = self._roughly(values, shifts, errors)
+        return self.shifted(rough.by_shifts(rough.errors, base, values, shifts), temper)
 
-        roughly: by runs in longer steps.
-        """
-        count = shifts.shape[1]
-        if count == 0:
+    def shifted(self, moves: np.ndarray, temper: np.ndarray):
+        """The same, by how the errors move with the shifts (samples, channels, locals)."""
+        if not (count := moves.shape[2]):
             return None
-        rough = self.rough() if roughly else self
-        base = errors if rough is self else rough.errors(values, shifts)
+        prior = np.broadcast_to(np.diag(np.sqrt(self.heavy)), (self.windows, count, count))
+        return np.linalg.qr(np.concatenate([self.rows(moves, temper), prior], axis=1))
+
+    def roughly(self) -> tuple["Likelihood", Seen]:
+        """This likelihood in longer steps, and the residual of values and shifts there."""
+        rough = self.rough()
+        return rough, lambda values, shifts: rough.residual(values, shifts * rough.local_scale)
+
+    def _roughly(self, values: Mapping[str, float], shifts: np.ndarray, errors) -> tuple["Likelihood", np.ndarray]:
+        """This likelihood in longer steps, and its errors there."""
+        rough = self.rough()
+        return rough, errors if rough is self else rough.errors(values, shifts)
+
+    def by_shifts(self, seen: Seen, base: np.ndarray, values: Mapping[str, float], shifts: np.ndarray) -> np.ndarray:
+        """How what is seen of a run moves from `base` with the shifts, all windows at once (samples, channels, locals).
+
+        seen: of values and shifts (samples, channels).
+        """
+        if not (count := shifts.shape[1]):
+            return np.zeros((*base.shape, 0))
 
         def slope(j: int) -> np.ndarray:
             moved = shifts.copy()
             moved[:, j] += SHIFTED
-            return self.rows(tame(rough.errors(values, moved) - base) / SHIFTED, temper)
+            return tame(seen(values, moved) - base) / SHIFTED
 
-        local = np.stack(each(slope, range(count)), axis=2)
-        prior = np.broadcast_to(np.diag(np.sqrt(self.heavy)), (self.windows, count, count))
-        return np.linalg.qr(np.concatenate([local, prior], axis=1))
+        return np.stack(each(slope, range(count)), axis=2)
+
+    def by_numbers(
+        self,
+        symbols: Sequence[Unknown],
+        seen: Seen,
+        base: np.ndarray,
+        values: Mapping[str, float],
+        shifts: np.ndarray,
+        both=0.0,
+        fine=False,
+        step=STEP,
+    ) -> np.ndarray:
+        """Likewise with each unknown's number (samples, channels, k). both, fine, step: as for `slopes`."""
+        if not symbols:
+            return np.zeros((*base.shape, 0))
+
+        def slope(u: Unknown) -> np.ndarray:
+            value = values[u.symbol]
+            size = (both or (FINE if fine and np.isfinite(u.prior) else step)) * u.scale
+            size *= -1 if value + size > u.high else 1
+            moved = seen({**values, u.symbol: value + size}, shifts)
+            inside = both and u.low <= value - size <= u.high
+            before = seen({**values, u.symbol: value - size}, shifts) if inside else base
+            return tame(moved - before) / ((2 if inside else 1) * size / u.scale)
+
+        return np.stack(each(slope, symbols), axis=2)
 
     def eliminate(self, rows: np.ndarray, tail: np.ndarray | None, basis) -> tuple[np.ndarray, np.ndarray]:
         """(rows less what the shifts explain, what they explain). rows: (windows, rows, n), tail: the prior's rows."""
@@ -459,30 +524,15 @@ class Likelihood:
         temper,
         both=0.0,
         fine=False,
-        roughly=False,
         step=STEP,
     ) -> np.ndarray:
         """Of `errors` by each unknown's number, (windows, rows, k), by differences to one side or, inside, to both.
 
-        both: of their scales, to both sides. fine: by small ones of the plant's own numbers. roughly: by runs in longer
-        steps. step: of the others' scales.
+        Runs are in longer steps. both: of their scales, to both sides. fine: by small ones of the plant's own numbers.
+        step: of the others' scales.
         """
-        if not symbols:
-            return np.zeros((self.windows, self.block * errors.shape[1], 0))
-
-        rough = self.rough() if roughly else self
-        base = errors if rough is self else rough.errors(values, shifts)
-
-        def slope(u: Unknown) -> np.ndarray:
-            value = values[u.symbol]
-            size = (both or (FINE if fine and np.isfinite(u.prior) else step)) * u.scale
-            size *= -1 if value + size > u.high else 1
-            moved = rough.errors({**values, u.symbol: value + size}, shifts)
-            inside = both and u.low <= value - size <= u.high
-            before = rough.errors({**values, u.symbol: value - size}, shifts) if inside else base
-            return self.rows(tame(moved - before) / ((2 if inside else 1) * size / u.scale), temper)
-
-        return np.stack(each(slope, symbols), axis=2)
+        rough, base = self._roughly(values, shifts, errors)
+        return self.rows(rough.by_numbers(symbols, rough.errors, base, values, shifts, both, fine, step), temper)
 
     def fit(
         self,
@@ -495,31 +545,27 @@ class Likelihood:
         enough: float = ENOUGH,
         slack: float = 0.0,
         both: bool = False,
-        sharp: bool = True,
     ) -> Fit:
         """The best fit near `values` (of unknowns, and of other parameters, which stay) and `shifts`.
 
         The fit has converged when a step lowers the cost by less than `enough`, or by less than `slack` as a share of
         what the cost exceeds that of noise; where the time of a search is over, it ends before. rival: a cost; a fit
         that is on no way to it gives up. tempered: errors beyond the sensors' noise are taken for what the plant leaves
-        out, so that they count less and the data sheet counts more. both: by finer slopes, to both sides. sharp: in the
-        end by slopes of the run itself, not of one in longer steps. The cost is inf if the run diverges from `values`
-        and from nearer to the unknowns' origins too.
+        out, so that they count less and the data sheet counts more. both: by finer slopes, to both sides. The cost is
+        inf if the run diverges from `values` and from nearer to the unknowns' origins too.
         """
-        descent = _Descent(self, unknowns, values or {}, self.nothing() if shifts is None else shifts.copy())
-        descent.both, descent.sharp = both, sharp
-        converged = False
-        with cut():
-            converged = descent.at.cost < np.inf and descent.run(iterations, tempered, rival, enough, slack)
-        return descent.fit(converged)
+        descent = Descent(self, unknowns, values or {}, self.nothing() if shifts is None else shifts.copy())
+        descent.both = both
+        return descent.ended(iterations, tempered=tempered, rival=rival, enough=enough, slack=slack)
 
 
 @dataclass(frozen=True)
 class _Point:
-    """Numbers of the unknowns (k,), shifts of the windows, and the errors and the cost there."""
+    """Numbers of the unknowns (k,), shifts of the windows, and the residual, the errors and the cost there."""
 
     numbers: np.ndarray
     shifts: np.ndarray
+    residual: np.ndarray
     errors: np.ndarray
     cost: float
 
@@ -538,16 +584,15 @@ class _Linear:
     curvature: np.ndarray
 
 
-class _Descent:
+class Descent:
     """Gauss-Newton from a start, within the unknowns' bounds.
 
     Simulations are dear, and a linearisation takes one for every unknown and every shift: it is kept for as long as the
     steps do what it promises.
     """
 
+    moves: tuple[np.ndarray, np.ndarray] | None = None  # how the residual moves (`Fit.moves`), if that is known
     both = False  # sides, to which slopes are taken
-    sharp = True  # whether they become those of the run itself in the end
-    roughly = True  # whether slopes are of runs in longer steps, for as long as those lead down
     fine: bool | None = None  # whether small differences of the plant's numbers serve, as soon as that is known
     way = STEP  # of the differences of the others
 
@@ -563,58 +608,72 @@ class _Descent:
                 break
             self.at = self.point(np.clip(self.at.numbers / 2, self.low, self.high), shifts)
 
-    def fit(self, converged: bool) -> Fit:
+    def ended(self, iterations: int, **how: Any) -> Fit:
+        """The fit after so many iterations or before. how: as for `run`."""
+        converged = False
+        with cut():
+            converged = self.at.cost < np.inf and self.run(iterations, **how)
         at = self.at
         return Fit(
             self.likelihood, self.unknowns, self.fixed, at.numbers, at.shifts, at.errors, self.weight, at.cost,
-            converged, self.temper, self.roughly,
+            converged, self.temper, self.way,
         )  # fmt: skip
 
     def point(self, numbers: np.ndarray, shifts: np.ndarray) -> _Point:
-        errors = self.likelihood.errors(_values(self.unknowns, numbers, self.fixed), shifts)
-        return _Point(numbers, shifts, errors, self.cost(numbers, shifts, errors))
+        likelihood = self.likelihood
+        values = _values(self.unknowns, numbers, self.fixed)
+        residual = likelihood.residual(values, shifts * likelihood.local_scale)
+        errors = likelihood.white(residual)
+        return _Point(numbers, shifts, residual, errors, self.cost(numbers, shifts, errors))
+
+    def under(self, likelihood: Likelihood) -> None:
+        """From here on by another noise; what is known of how the run moves serves still."""
+        at, self.likelihood = self.at, likelihood
+        errors = likelihood.white(at.residual)
+        self.at = replace(at, errors=errors, cost=self.cost(at.numbers, at.shifts, errors))
+        self.fine = False if self.way == COARSE else None
 
     def cost(self, numbers: np.ndarray, shifts: np.ndarray, errors: np.ndarray) -> float:
         return self.likelihood.cost(errors, shifts, self.temper) + float(np.sum(self.weight * numbers**2))
 
-    def run(self, iterations: int, tempered: bool, rival: float, enough: float, slack: float) -> bool:
+    def run(
+        self,
+        iterations: int,
+        tempered: bool = False,
+        rival: float = np.inf,
+        enough: float = ENOUGH,
+        slack: float = 0.0,
+    ) -> bool:
         """Whether it has converged, after so many iterations or before. Arguments: as for `Likelihood.fit`."""
         damping, linear, final = Decades(), None, not tempered and rival == np.inf
         for iteration in range(iterations):
             if tempered:
                 self.reweigh()
-                linear = None
-            fresh = linear is None
+                linear = self.moves = None
+            fresh = linear is None and self.moves is None
             linear = linear or self.linearised()
             found = self.step(linear, damping, enough, fresh)
             if found is None:
-                if final and (self.sharpened() or self.coarsened()):
-                    linear = None
+                if final and self.coarsened():
+                    linear = self.moves = None
                     continue
                 return True
             point, promised = found
             if not point.cost < self.at.cost:
-                linear = None  # of a point too far away
+                linear = self.moves = None  # of a point too far away
                 continue
             gain, self.at = self.at.cost - point.cost, point
             damping.fall()
             if gain < max(enough, slack * (point.cost - self.likelihood.count)):
-                if not (final and (self.sharpened() or self.coarsened())):
+                if not (final and self.coarsened()):
                     return True
-                linear = None
+                linear = self.moves = None
                 continue
             if iteration and point.cost - HOPED * gain > rival + max(NEAR * (rival - self.likelihood.count), FAR):
                 return False
             if gain < STRAIGHT * promised or damping.value > 0:
-                linear = None
+                linear = self.moves = None
         return False
-
-    def sharpened(self) -> bool:
-        """Whether slopes become those of the run itself, which they were not."""
-        if not (self.sharp and self.roughly):
-            return False
-        self.roughly = False
-        return self.likelihood.rough() is not self.likelihood
 
     def reweigh(self) -> None:
         """Let each channel's errors count less by as much as they exceed the sensors', here."""
@@ -624,20 +683,26 @@ class _Descent:
 
     def linearised(self) -> _Linear:
         """The likelihood linearised here."""
-        likelihood, at = self.likelihood, self.at
-        values = _values(self.unknowns, at.numbers, self.fixed)
-        roughly = self.roughly
-        basis = likelihood.basis(values, at.shifts, at.errors, self.temper, roughly)
+        likelihood = self.likelihood
+        if self.moves is None:
+            self.moves = self.moving()
+        shifts, numbers = (likelihood.white(m) if m.size else m for m in self.moves)
+        basis, slopes = likelihood.shifted(shifts, self.temper), likelihood.rows(numbers, self.temper)
+        slopes, explained = likelihood.eliminate(slopes, None, basis)
+        flat = flattened(slopes)
+        return _Linear(flat, explained, basis, flat.T @ flat)
+
+    def moving(self) -> tuple[np.ndarray, np.ndarray]:
+        """How the residual moves here (`Fit.moves`)."""
+        at, values = self.at, _values(self.unknowns, self.at.numbers, self.fixed)
+        rough, seen = self.likelihood.roughly()
+        given = seen, at.residual if rough is self.likelihood else seen(values, at.shifts), values, at.shifts
+        by_shifts = rough.by_shifts(*given)
         if self.fine is None:
             self.fine = self.smooth()
             if not self.fine:
                 self.coarsened()
-        slopes = likelihood.slopes(
-            self.unknowns, values, at.shifts, at.errors, self.temper, FINE * self.both, self.fine, roughly, self.way
-        )
-        slopes, explained = likelihood.eliminate(slopes, None, basis)
-        flat = flattened(slopes)
-        return _Linear(flat, explained, basis, flat.T @ flat)
+        return by_shifts, rough.by_numbers(self.unknowns, *given, FINE * self.both, self.fine, self.way)
 
     def coarsened(self) -> bool:
         """Whether differences become those across what sticks and slips, which they were not, and it does."""

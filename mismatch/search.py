@@ -451,7 +451,7 @@ class Search:
                 else:
                     start = {**values, **{f.symbol: 0.0 for f in effect.strengths}}
                     unknowns = [self._unknown(f) for f in effect.strengths]
-                    columns = likelihood.slopes(unknowns, start, fit.shifts, fit.errors, fit.temper, roughly=True)
+                    columns = likelihood.slopes(unknowns, start, fit.shifts, fit.errors, fit.temper)
                 yield shape, point, likelihood.eliminate(columns, None, fit.basis)[0]
 
     def points(self, effect: Effect) -> list[dict[str, float]]:

@@ -126,6 +126,23 @@ def test_parameters_and_effect_are_found_within_their_intervals(folder, window):
     assert fit.cost == pytest.approx(fit.likelihood.count, rel=0.25)
 
 
+@pytest.mark.parametrize("window", [None, 0.25])
+def test_a_fit_to_the_rest_is_that_made_anew_in_a_fraction_of_the_runs(folder, window, monkeypatch):
+    fit, runs, ran = likelihood(folder, window).fit(unknowns()), [], Model.predict
+    monkeypatch.setattr(Model, "predict", lambda *given: runs.append(1) or ran(*given))
+    blocks = [np.arange(300) // 30 % 5 == k for k in range(5)]
+    led = [fit.without(held, 8) for held in blocks]
+    few = len(runs)
+    assert led == [fit.without(held, 8) for held in blocks]
+    assert len(runs) == few
+    for held, values in zip(blocks, led, strict=True):
+        anew = fit.likelihood.without(held).fit(fit.unknowns, fit.values, fit.shifts, 8)
+        for u in fit.unknowns:
+            assert abs(values[u.symbol] - anew.values[u.symbol]) < 0.02 * fit.deviation(u.symbol)
+            assert values[u.symbol] != fit.values[u.symbol]
+    assert few <= 0.5 * (len(runs) - few)
+
+
 def test_intervals_hold_the_truth_as_often_as_they_say(folder):
     fits = [likelihood(folder, None, seed).fit(unknowns()) for seed in range(40)]
     scores = np.array([[(f.values[s] - TRUE[s]) / f.deviation(s) for s in TRUE] for f in fits])
@@ -225,8 +242,8 @@ def test_a_bound_holds(folder):
 @pytest.mark.parametrize(("low", "high"), [(0.0, 60.0), (200.0, 300.0)])
 def test_no_run_is_made_beyond_a_bound_not_even_for_a_slope(folder, low, high):
     p, tried = likelihood(folder, None), []
-    errors = p.errors
-    p.errors = lambda values, shifts: (tried.append(values["stiffness"]), errors(values, shifts))[1]
+    residual = p.residual
+    p.residual = lambda values, shifts: (tried.append(values["stiffness"]), residual(values, shifts))[1]
     p.fit([*unknowns(spring=False), Unknown("stiffness", 0.0, 50.0, np.inf, low, high)])
     assert low <= min(tried) < max(tried) <= high
 

@@ -466,7 +466,7 @@ SOUGHT = (
 def test_a_fit_takes_differences_across_what_sticks_and_slips(sticking, monkeypatch):
     found = sticking.fit(SOUGHT)
     monkeypatch.setattr(fit, "COARSE", fit.STEP)
-    monkeypatch.setattr(fit._Descent, "coarsened", lambda self: False)
+    monkeypatch.setattr(fit.Descent, "coarsened", lambda self: False)
     assert found.cost < 0.5 * sticking.fit(SOUGHT).cost
 
 
