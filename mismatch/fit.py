@@ -156,8 +156,9 @@ class Fit:
     @cached_property
     def moves(self) -> tuple[np.ndarray, np.ndarray]:
         """How the residual moves with each of the windows' shifts and with the numbers (samples, channels, each)."""
-        rough, seen = self.likelihood.roughly()
-        given = seen, seen(self.values, self.shifts), self.values, self.shifts
+        of, values, shifts = self.likelihood, self.values, self.shifts
+        rough, seen, base = of.roughly(values, shifts, of.left(values, shifts), white=False)
+        given = seen, base, values, shifts
         return rough.by_shifts(*given), rough.by_numbers(self.unknowns, *given, step=self.way)
 
     def without(self, held: np.ndarray, iterations: int) -> dict[str, float]:
@@ -289,6 +290,11 @@ class Fit:
         return np.maximum(found, self.spread())
 
 
+def _alike(one: np.ndarray, other: np.ndarray, spread: np.ndarray) -> bool:
+    """Whether two runs (samples, channels) are so alike, in parts of a spread, that their slopes are."""
+    return bool(np.all(np.std(one - other, axis=0) <= SLOPED * spread))
+
+
 def flattened(slopes: np.ndarray) -> np.ndarray:
     """Slopes (windows, rows, k) as (windows * rows, k); k may be 0."""
     return slopes.reshape(slopes.shape[0] * slopes.shape[1], slopes.shape[2])
@@ -322,15 +328,6 @@ def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return one * np.outer(stretch, stretch)
 
 
-def _in_longer_steps(model: Model) -> Model:
-    """A model in the longest steps in which its run hardly differs from what it is, in parts of what is recorded."""
-    run, spread = model.predict(model.values), np.std(model.target, axis=0)
-    for longer in model.longer():
-        if np.all(np.std(longer.predict(model.values) - run, axis=0) <= SLOPED * spread):
-            return longer
-    return model
-
-
 class Likelihood:
     """What a model's recording says of parameters: sigma (samples, channels) weighs the errors.
 
@@ -339,7 +336,7 @@ class Likelihood:
     depend on each other, and their samples; kept: the samples in them. noise: what it is beside that of sigma.
     """
 
-    _rough: tuple[Model, Model] | None = None  # a model, and the same in longer steps
+    _longer: tuple[Model, list[Model]] | None = None  # a model, and the same in longer steps
 
     def __init__(self, model: Model):
         self.model = model
@@ -384,7 +381,11 @@ class Likelihood:
 
     def errors(self, values: Mapping[str, float], shifts: np.ndarray) -> np.ndarray:
         """(target - prediction) / sigma, (samples, channels)."""
-        return self.white(self.residual(values, shifts * self.local_scale))
+        return self.white(self.left(values, shifts))
+
+    def left(self, values: Mapping[str, float], shifts: np.ndarray) -> np.ndarray:
+        """The residual, shifts in units of their scales."""
+        return self.residual(values, shifts * self.local_scale)
 
     def white(self, what: np.ndarray) -> np.ndarray:
         """`what` (samples, channels, ...) in units of the noise, less what the noise before makes expected."""
@@ -428,23 +429,49 @@ class Likelihood:
         kept = tempered[self.kept]
         return kept.reshape(self.windows, self.block * what.shape[1], *what.shape[2:])
 
-    def rough(self) -> "Likelihood":
-        """This likelihood in the longest steps of a simulator from outside that are good enough for slopes."""
+    def longer(self) -> list["Likelihood"]:
+        """This likelihood of a simulator from outside in longer steps, the longest first; else none.
+
+        In the longest of them the run without any effect hardly differs, in parts of what is recorded.
+        """
         model = self.model
         if not model.plant.outside:
-            return self
-        if self._rough is None or self._rough[0] is not model:
-            self._rough = model, _in_longer_steps(model)
-        if (longer := self._rough[1]) is model:
-            return self
-        other = copy.copy(self)
-        other.model = longer
-        return other
+            return []
+        if self._longer is None or self._longer[0] is not model:
+            run, spread = model.predict(model.values), np.std(model.target, axis=0)
+            models, first = [*model.longer()], 0
+            while first < len(models) and not _alike(models[first].predict(model.values), run, spread):
+                first += 1
+            self._longer = model, models[first:]
+
+        def over(longer: Model) -> "Likelihood":
+            other = copy.copy(self)
+            other.model = longer
+            return other
+
+        return [over(longer) for longer in self._longer[1]]
+
+    def rough(self) -> "Likelihood":
+        """That in the longest of them; else this."""
+        return next(iter(self.longer()), self)
+
+    def roughly(self, values: Mapping[str, float], shifts: np.ndarray, here: np.ndarray, white=True):
+        """(this likelihood in the longest steps whose run hardly differs at these values, what it gives, that there).
+
+        here, what it gives: the errors, or the residual where they are not to be `white`.
+        """
+        target = self.model.target
+        for longer in self.longer():
+            gives = longer.errors if white else longer.left
+            there = gives(values, shifts)
+            if _alike(there, here, np.std(self.white(target) if white else target, axis=0)):
+                return longer, gives, there
+        return self, self.errors if white else self.left, here
 
     def basis(self, values: Mapping[str, float], shifts: np.ndarray, errors, temper: np.ndarray):
         """(q, r) of each window's own shifts, their prior in the last rows; None where nothing is shifted."""
-        rough, base = self._roughly(values, shifts, errors)
-        return self.shifted(rough.by_shifts(rough.errors, base, values, shifts), temper)
+        rough, seen, base = self.roughly(values, shifts, errors)
+        return self.shifted(rough.by_shifts(seen, base, values, shifts), temper)
 
     def shifted(self, moves: np.ndarray, temper: np.ndarray):
         """The same, by how the errors move with the shifts (samples, channels, locals)."""
@@ -452,16 +479,6 @@ class Likelihood:
             return None
         prior = np.broadcast_to(np.diag(np.sqrt(self.heavy)), (self.windows, count, count))
         return np.linalg.qr(np.concatenate([self.rows(moves, temper), prior], axis=1))
-
-    def roughly(self) -> tuple["Likelihood", Seen]:
-        """This likelihood in longer steps, and the residual of values and shifts there."""
-        rough = self.rough()
-        return rough, lambda values, shifts: rough.residual(values, shifts * rough.local_scale)
-
-    def _roughly(self, values: Mapping[str, float], shifts: np.ndarray, errors) -> tuple["Likelihood", np.ndarray]:
-        """This likelihood in longer steps, and its errors there."""
-        rough = self.rough()
-        return rough, errors if rough is self else rough.errors(values, shifts)
 
     def by_shifts(self, seen: Seen, base: np.ndarray, values: Mapping[str, float], shifts: np.ndarray) -> np.ndarray:
         """How what is seen of a run moves from `base` with the shifts, all windows at once (samples, channels, locals).
@@ -531,8 +548,8 @@ class Likelihood:
         Runs are in longer steps. both: of their scales, to both sides. fine: by small ones of the plant's own numbers.
         step: of the others' scales.
         """
-        rough, base = self._roughly(values, shifts, errors)
-        return self.rows(rough.by_numbers(symbols, rough.errors, base, values, shifts, both, fine, step), temper)
+        rough, seen, base = self.roughly(values, shifts, errors)
+        return self.rows(rough.by_numbers(symbols, seen, base, values, shifts, both, fine, step), temper)
 
     def fit(
         self,
@@ -622,7 +639,7 @@ class Descent:
     def point(self, numbers: np.ndarray, shifts: np.ndarray) -> _Point:
         likelihood = self.likelihood
         values = _values(self.unknowns, numbers, self.fixed)
-        residual = likelihood.residual(values, shifts * likelihood.local_scale)
+        residual = likelihood.left(values, shifts)
         errors = likelihood.white(residual)
         return _Point(numbers, shifts, residual, errors, self.cost(numbers, shifts, errors))
 
@@ -695,8 +712,8 @@ class Descent:
     def moving(self) -> tuple[np.ndarray, np.ndarray]:
         """How the residual moves here (`Fit.moves`)."""
         at, values = self.at, _values(self.unknowns, self.at.numbers, self.fixed)
-        rough, seen = self.likelihood.roughly()
-        given = seen, at.residual if rough is self.likelihood else seen(values, at.shifts), values, at.shifts
+        rough, seen, base = self.likelihood.roughly(values, at.shifts, at.residual, white=False)
+        given = seen, base, values, at.shifts
         by_shifts = rough.by_shifts(*given)
         if self.fine is None:
             self.fine = self.smooth()
