@@ -211,6 +211,9 @@ def _diagnosed(search: Search, progress: Progress) -> Diagnosis:
     for _ in range(0 if search.budget.over else NOISES):
         progress("searching again: the noise is not as rig.toml tells it")
         again = _explained(search.under(noise), progress)
+        if found.best.size and not again.best.size and search.left_out("the noise that the recording shows"):
+            search.under(Noise.told(len(search.rig.predict)))
+            return replace(found, noise=noise)  # what was found had its time
         before, noise = noise, shown_noise(again.corrected)
         assert noise is not None  # it was told
         if noise.swollen or (again.verdict == Verdict.CONSISTENT and dependent(again.corrected)):

@@ -239,13 +239,13 @@ class Diagnosis:
 
     def _doubtful(self, key: str) -> bool:
         """Whether an effect may stand for what no model has: something is left, any smooth curve is like it, it undoes
-        another, takes next to nothing of the error, acts in another's equation, or reshapes its input.
+        another, takes next to nothing of the error, acts in another's equation, or reshapes its input; or for noise.
         """
         effect = self.search.effects[key]
         beside = (self.search.effects[k] for k in self.best.effects if k != key)
         alike = any(_alike(effect, other) for other in beside)
         slight = self.shares.get(key, 1.0) < DETAIL
-        left = self._remaining() or self._rough
+        left = self._remaining() or self._rough or self._other_noise
         return bool(left or effect.smooth or key in self.only_with or slight or alike)
 
     @cached_property
@@ -257,6 +257,11 @@ class Diagnosis:
         errors = np.sqrt(np.mean(likelihood.residual(self.corrected.values) ** 2, axis=0))
         rough = [max(noise(run[n]) for run in likelihood.model.recording.runs) for n in self.rig.predict]
         return bool((errors > FURTHER * np.array(rough)).any())
+
+    @property
+    def _other_noise(self) -> bool:
+        """Whether the recording shows another noise than that of the corrected fit: for that there was no time."""
+        return bool(self.noise and not self.noise.as_told and self.corrected.likelihood.noise.as_told)
 
     def _named(self, keys: Iterable[str]) -> list[str]:
         """The names of effects, and the symbols of parameters."""

@@ -84,6 +84,19 @@ def test_a_claim_that_has_time_is_made(recording):
     assert "dry_friction" in [e["id"] for e in found["effects"]]
 
 
+def test_a_claim_stays_where_time_ends_under_the_noise_that_the_recording_shows(recording):
+    """And is none that is sure: that noise might be what it stands for."""
+    budget = progress.Budget()
+
+    def say(text: str) -> None:
+        if text.startswith("searching again: the noise"):
+            budget.stop()
+
+    found = diagnose(plant(cart), recording, progress=say, budget=budget, noise_rms={"x": 2e-5}).as_dict()
+    assert "the noise that the recording shows" in found["not_tried"]
+    assert ("dry_friction", True) in [(e["id"], 0.5 < e["confidence"] < 0.9) for e in found["effects"]]
+
+
 @pytest.mark.parametrize("runs", [30, pytest.param(100, marks=pytest.mark.nightly), 400])
 def test_a_budget_of_work_ends_alike_on_one_core_and_on_many(recording, runs, monkeypatch):
     monkeypatch.setattr(cores, "WORTH", 0.0)
