@@ -56,6 +56,7 @@ STRAIGHT_RUN = 0.01  # of the change of the errors, by which a tenth of it may b
 STRAIGHT = 0.7  # share of the promised gain from which the linearisation still serves; a new one costs k + 1 runs
 HOPED = 2.0  # times the gain of its last step, that a fit may still gain: near its end steps gain ever less
 NEAR = 0.1  # of what the rival's cost exceeds that of noise: a fit that is not hoped to come so near gives up,
+MORE_THAN_NOISE = 2.0  # times the cost that noise makes: with more, something is left
 FAR = 100.0  # or farther than this cost, which is more than any evidence asked for
 
 Seen = Callable[[Mapping[str, float], np.ndarray], np.ndarray]
@@ -609,6 +610,7 @@ class Descent:
     """
 
     moves: tuple[np.ndarray, np.ndarray] | None = None  # how the residual moves (`Fit.moves`), if that is known
+    sharp = dull = False  # whether slopes are to be those of the run itself; whether they were of longer steps
     both = False  # sides, to which slopes are taken
     fine: bool | None = None  # whether small differences of the plant's numbers serve, as soon as that is known
     way = STEP  # of the differences of the others
@@ -671,7 +673,7 @@ class Descent:
             linear = linear or self.linearised()
             found = self.step(linear, damping, enough, fresh)
             if found is None:
-                if final and self.coarsened():
+                if final and (self.sharpened() or self.coarsened()):
                     linear = self.moves = None
                     continue
                 return True
@@ -682,7 +684,7 @@ class Descent:
             gain, self.at = self.at.cost - point.cost, point
             damping.fall()
             if gain < max(enough, slack * (point.cost - self.likelihood.count)):
-                if not (final and self.coarsened()):
+                if not (final and (self.sharpened() or self.coarsened())):
                     return True
                 linear = self.moves = None
                 continue
@@ -712,7 +714,10 @@ class Descent:
     def moving(self) -> tuple[np.ndarray, np.ndarray]:
         """How the residual moves here (`Fit.moves`)."""
         at, values = self.at, _values(self.unknowns, self.at.numbers, self.fixed)
-        rough, seen, base = self.likelihood.roughly(values, at.shifts, at.residual, white=False)
+        rough, seen, base = self.likelihood, self.likelihood.left, at.residual
+        if not self.sharp:
+            rough, seen, base = rough.roughly(values, at.shifts, base, white=False)
+            self.dull = rough is not self.likelihood
         given = seen, base, values, at.shifts
         by_shifts = rough.by_shifts(*given)
         if self.fine is None:
@@ -720,6 +725,16 @@ class Descent:
             if not self.fine:
                 self.coarsened()
         return by_shifts, rough.by_numbers(self.unknowns, *given, FINE * self.both, self.fine, self.way)
+
+    def sharpened(self) -> bool:
+        """Whether slopes become those of the run itself, which they were not: where more than noise is left, it counts.
+
+        Slopes that are a little off lead as little astray as the errors are large.
+        """
+        if self.sharp or not self.dull or not self.at.cost > MORE_THAN_NOISE * self.likelihood.count:
+            return False
+        self.sharp = True
+        return True
 
     def coarsened(self) -> bool:
         """Whether differences become those across what sticks and slips, which they were not, and it does."""

@@ -174,13 +174,22 @@ def test_plant_and_noise_are_fitted_in_turn_until_a_round_saves_less_than_one_of
 
     def noise(cost):
         return SimpleNamespace(
-            order=1, residual=lambda values: none, white=lambda residual: residual, deviance=lambda: cost,
+            order=1, nothing=lambda: none, white=lambda residual: residual, deviance=lambda: cost,
             learnt=lambda residual: noise(next(left)),
         )  # fmt: skip
 
-    def fitted(likelihood, *_, **__):
-        return Fit(likelihood, (), {}, none, none, none, none, 0.0, True, none)
+    class Descent:
+        at = SimpleNamespace(residual=none)
 
-    monkeypatch.setattr(coloured.Likelihood, "fit", fitted)
+        def __init__(self, likelihood, *_):
+            self.under(likelihood)
+
+        def under(self, likelihood):
+            self.likelihood = likelihood
+
+        def ended(self, *_, **__):
+            return Fit(self.likelihood, (), {}, none, none, none, none, 0.0, True, none)
+
+    monkeypatch.setattr(coloured, "Descent", Descent)
     assert Coloured.fit(noise(np.inf), ()).cost == min(costs[:rounds])
     assert len(list(left)) == len(costs) - rounds

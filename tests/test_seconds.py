@@ -33,10 +33,10 @@ class Slow:
         return cart(t, x, u, p)
 
 
-def plant(function):
+def plant(function, compiled=False):
     return Simulator(
         function, dt=0.01, states={"x": {"unit": "m", "rate": "v"}, "v": "m/s"}, inputs={"force": "N"}, outputs=["x"],
-        parameters={"mass": [2.0, "kg", 0.05], "viscous": [4.0, "N s/m", 0.2]}, storage={"v": "mass"}, compiled=False,
+        parameters={"mass": [2.0, "kg", 0.05], "viscous": [4.0, "N s/m", 0.2]}, storage={"v": "mass"}, compiled=compiled,
     )  # fmt: skip
 
 
@@ -79,7 +79,7 @@ def test_what_is_not_tested_in_time_is_not_claimed(recording, monkeypatch):
 
 
 def test_a_claim_that_has_time_is_made(recording):
-    found = diagnose(plant(cart), recording, seconds=1e9, noise_rms={"x": 1e-4}).as_dict()
+    found = diagnose(plant(cart, True), recording, seconds=1e9, noise_rms={"x": 1e-4}).as_dict()
     assert "not_tried" not in found
     assert "dry_friction" in [e["id"] for e in found["effects"]]
 
@@ -92,7 +92,7 @@ def test_a_claim_stays_where_time_ends_under_the_noise_that_the_recording_shows(
         if text.startswith("searching again: the noise"):
             budget.stop()
 
-    found = diagnose(plant(cart), recording, progress=say, budget=budget, noise_rms={"x": 2e-5}).as_dict()
+    found = diagnose(plant(cart, True), recording, progress=say, budget=budget, noise_rms={"x": 2e-5}).as_dict()
     assert "the noise that the recording shows" in found["not_tried"]
     assert ("dry_friction", True) in [(e["id"], 0.5 < e["confidence"] < 0.9) for e in found["effects"]]
 
