@@ -146,7 +146,7 @@ def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_ne
     }
     said = SimpleNamespace(
         search=SimpleNamespace(effects=effects), best=Hypothesis(("a", "b")), shares={"a": share}, only_with={},
-        _remaining=lambda: "", _rough=rough,
+        _remaining=lambda: "", _rough=rough, _other_noise=False,
     )  # fmt: skip
     assert Diagnosis._doubtful(said, "a") is doubted
 

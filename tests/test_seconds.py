@@ -36,7 +36,8 @@ class Slow:
 def plant(function, compiled=False):
     return Simulator(
         function, dt=0.01, states={"x": {"unit": "m", "rate": "v"}, "v": "m/s"}, inputs={"force": "N"}, outputs=["x"],
-        parameters={"mass": [2.0, "kg", 0.05], "viscous": [4.0, "N s/m", 0.2]}, storage={"v": "mass"}, compiled=compiled,
+        parameters={"mass": [2.0, "kg", 0.05], "viscous": [4.0, "N s/m", 0.2]}, storage={"v": "mass"},
+        compiled=compiled,
     )  # fmt: skip
 
 
