@@ -596,6 +596,24 @@ def test_slopes_of_an_arm_in_finer_steps_are_those_of_longer_ones(tmp_path, monk
     assert abs(away) < 0.05 * found.deviation("damping_shoulder")
 
 
+def test_steps_are_no_longer_than_the_effects_of_a_fit_bear(tmp_path):
+    """An elastic friction shakes in steps that serve the arm without it."""
+    write(tmp_path, loss=0.0)
+    rig = record(tmp_path, write(tmp_path, "other.xml", loss=0.02), "damping_shoulder")
+    rig = replace(rig, plant=replace(rig.plant, step=DT / 20))
+    effects = {k: e for k, e in general(rig, rig.to_explain()).items() if k == "dry_friction_elastic_shoulder"}
+    likelihood = Search(rig, rig.to_explain(), effects).final
+    (effect,) = effects.values()
+    size, room = (f.symbol for f in effect.free)
+    steps = []
+    for values in ({size: 0.0, room: 1e-3}, {size: 0.02, room: 1e-3}):
+        given = {**likelihood.model.values, **effect.set, **values}, likelihood.nothing()
+        of, gives, there = likelihood.roughly(*given, likelihood.errors(*given))
+        assert np.array_equal(gives(*given), there)
+        steps.append(of.model.steps)
+    assert steps[0] == likelihood.rough().model.steps < steps[1]
+
+
 ADDING = (
     "dry_friction_static",
     "ripple",
