@@ -134,7 +134,8 @@ class Coloured(Likelihood):
     ) -> Fit:
         """Fit plant and noise in turn until neither gains. `cost` is -2 log of the joint likelihood and the priors.
 
-        tempered, rival: without effect, for noise takes up what the plant leaves out, and its size is not known before.
+        tempered, rival: without effect, for noise takes up what the plant leaves out, and its size is not known before;
+        so are shifts, for a free run has none.
         """
         descent, likelihood = Descent(self, unknowns, values or {}, self.nothing()), self
         descent.both = both

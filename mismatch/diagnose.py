@@ -208,12 +208,13 @@ def _diagnosed(search: Search, progress: Progress) -> Diagnosis:
     noise = shown_noise(found.corrected)
     if noise is None or noise.as_told:
         return replace(found, noise=noise)
+    shown = None
     for _ in range(0 if search.budget.over else NOISES):
         progress("searching again: the noise is not as rig.toml tells it")
         again = _explained(search.under(noise), progress)
         if found.best.size and not again.best.size and search.left_out("the noise that the recording shows"):
-            search.under(Noise.told(len(search.rig.predict)))
-            return replace(found, noise=noise)  # what was found had its time
+            shown = noise
+            break  # what was found had its time, what was not had not
         before, noise = noise, shown_noise(again.corrected)
         assert noise is not None  # it was told
         if noise.swollen or (again.verdict == Verdict.CONSISTENT and dependent(again.corrected)):
@@ -221,7 +222,7 @@ def _diagnosed(search: Search, progress: Progress) -> Diagnosis:
         if not before.swollen:
             return replace(again, noise=noise)
     search.under(Noise.told(len(search.rig.predict)))
-    return replace(found, noise=None)
+    return replace(found, noise=shown)
 
 
 def _explained(search: Search, progress: Progress) -> Diagnosis:

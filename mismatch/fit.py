@@ -56,8 +56,8 @@ STRAIGHT_RUN = 0.01  # of the change of the errors, by which a tenth of it may b
 STRAIGHT = 0.7  # share of the promised gain from which the linearisation still serves; a new one costs k + 1 runs
 HOPED = 2.0  # times the gain of its last step, that a fit may still gain: near its end steps gain ever less
 NEAR = 0.1  # of what the rival's cost exceeds that of noise: a fit that is not hoped to come so near gives up,
-MORE_THAN_NOISE = 2.0  # times the cost that noise makes: with more, something is left
 FAR = 100.0  # or farther than this cost, which is more than any evidence asked for
+MORE_THAN_NOISE = 2.0  # times the cost that noise makes: with more, something is left
 
 Seen = Callable[[Mapping[str, float], np.ndarray], np.ndarray]
 
@@ -242,7 +242,7 @@ class Fit:
 
         The halves are every other `stretch` samples.
         """
-        even = self.likelihood.alternate(stretch)
+        even = self.likelihood.turns(stretch, 2) == 0
         return sum(self.judged(learn, ~learn) for learn in (even, ~even))
 
     def judged(self, learn: np.ndarray, judge: np.ndarray) -> float:
@@ -398,10 +398,6 @@ class Likelihood:
         """The number of the recording in which each window lies (windows,)."""
         first = np.arange(len(self.model.target))[self.kept][:: self.block]
         return np.searchsorted([piece.stop for piece in self.model.pieces], first, side="right")
-
-    def alternate(self, stretch: int) -> np.ndarray:
-        """Whether each window is in the first half, where stretches of so many samples are in one half by turns."""
-        return self.turns(stretch, 2) == 0
 
     def turns(self, stretch: int, parts: int) -> np.ndarray:
         """In which of so many parts each window is, where stretches of so many samples are in each by turns."""

@@ -22,7 +22,7 @@ class Halves:
     def of(cls, base: Fit, columns: np.ndarray) -> "Halves":
         k = len(base.unknowns)
         both = np.concatenate([base.slopes, columns], axis=2)
-        even = base.likelihood.alternate(HELD)
+        even = base.likelihood.turns(HELD, 2) == 0
         gram, pull = [], []
         for half in (even, ~even):
             flat, e = flattened(both[half]), base.projected[half].reshape(-1)

@@ -501,7 +501,7 @@ def test_what_is_held_out_is_every_other_stretch_under_the_parameters_of_the_res
     second = np.arange(16) // 4 % 2  # windows of 25 samples
 
     def held_out(high: float) -> float:
-        made = SimpleNamespace(alternate=lambda stretch: second == 0)
+        made = SimpleNamespace(turns=lambda stretch, parts: second % parts)
         asked = (Unknown("a", 0.0, 1.0), Unknown("b", 0.0, 1.0, 0.5, high=high))
         fit = Fit(made, asked, {}, numbers, np.zeros((16, 0)), errors, weight, 0.0, True, np.ones(1))
         fit.__dict__.update(slopes=slopes, projected=errors)
