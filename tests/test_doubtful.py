@@ -11,6 +11,7 @@ from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.excitation import Action
 from greygate.mismatch.fit import Fit
+from greygate.mismatch.noise import Noise
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.verdict import Verdict
 
@@ -124,17 +125,18 @@ def test_a_formula_that_leaves_less_takes_the_place_of_a_name_unless_it_is_the_s
 
 
 @pytest.mark.parametrize(
-    ("equation", "on", "filtered", "share", "rough", "doubted"),
-    [("body", ("v",), "w", 0.5, False, True), ("body", ("t",), "w", 0.5, False, False),
-     ("wheel", ("v",), "w", 0.5, False, False), ("wheel", ("v",), "u", 0.5, False, True),
-     ("wheel", ("v",), "w", 0.001, False, True), ("wheel", ("v",), "w", 0.5, True, True)],
+    ("equation", "on", "filtered", "share", "leaves", "doubted"),
+    [("body", ("v",), "w", 0.5, "", True), ("body", ("t",), "w", 0.5, "", False),
+     ("wheel", ("v",), "w", 0.5, "", False), ("wheel", ("v",), "u", 0.5, "", True),
+     ("wheel", ("v",), "w", 0.001, "", True), ("wheel", ("v",), "w", 0.5, "_rough", True),
+     ("wheel", ("v",), "w", 0.5, "_other_noise", True)],
 )  # fmt: skip
 def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_next_to_nothing_or_leaves_much(
-    equation, on, filtered, share, rough, doubted
+    equation, on, filtered, share, leaves, doubted
 ):
     """equation, on: of another claim, which reshapes the input `filtered`; the judged one reads `u`.
 
-    share: of the squared error, that the judged one takes. rough: it leaves much.
+    share: of the squared error, that the judged one takes. leaves: much, or another noise than that it was found in.
     """
     effects = {
         "a": SimpleNamespace(
@@ -146,7 +148,7 @@ def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_ne
     }
     said = SimpleNamespace(
         search=SimpleNamespace(effects=effects), best=Hypothesis(("a", "b")), shares={"a": share}, only_with={},
-        _remaining=lambda: "", _rough=rough, _other_noise=False,
+        _remaining=lambda: "", _rough=leaves == "_rough", _other_noise=leaves == "_other_noise",
     )  # fmt: skip
     assert Diagnosis._doubtful(said, "a") is doubted
 
@@ -166,6 +168,14 @@ def test_where_no_noise_is_told_a_name_is_doubtful_that_leaves_far_more_than_the
         rig=SimpleNamespace(predict=["x"]), corrected=SimpleNamespace(likelihood=likelihood, values={})
     )
     assert Diagnosis._rough.func(said) is rough
+
+
+@pytest.mark.parametrize(("shown", "within", "other"), [(1.0, 1.0, False), (3.0, 1.0, True), (3.0, 3.0, False)])
+def test_another_noise_than_the_told_one_is_one_under_which_nothing_was_found(shown, within, other):
+    """shown: its size, of the told one; within: of that under which the fit was made."""
+    shown, within = (Noise(np.array([size]), (np.zeros(0),)) for size in (shown, within))
+    fit = SimpleNamespace(likelihood=SimpleNamespace(noise=within))
+    assert Diagnosis._other_noise.fget(SimpleNamespace(noise=shown, corrected=fit)) is other
 
 
 @pytest.mark.parametrize(("costs", "rounds"), [([9.0, 7.5, 7.0, 5.0], 3), ([9.0, 8.5, 5.0], 2), ([9.0, 9.5, 5.0], 2)])

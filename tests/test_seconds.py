@@ -95,6 +95,7 @@ def test_a_claim_stays_where_time_ends_under_the_noise_that_the_recording_shows(
 
     found = diagnose(plant(cart, True), recording, progress=say, budget=budget, noise_rms={"x": 2e-5}).as_dict()
     assert "the noise that the recording shows" in found["not_tried"]
+    assert not found["noise"]["x"]["as_told"]
     assert ("dry_friction", True) in [(e["id"], 0.5 < e["confidence"] < 0.9) for e in found["effects"]]
 
 

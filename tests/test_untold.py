@@ -11,7 +11,7 @@ from greygate.mismatch import rig as rigs
 from greygate.mismatch.coloured import Coloured, resized
 from greygate.mismatch.coloured_selection import ALIKE, ColouredSelection, _foretells, quicker
 from greygate.mismatch.entries import Effect, Free
-from greygate.mismatch.fit import Unknown
+from greygate.mismatch.fit import Likelihood, Unknown
 from greygate.mismatch.model import Model
 from greygate.mismatch.search import Hypothesis, Score
 from greygate.plants.expressions import summands
@@ -56,6 +56,18 @@ def recorded(folder, mass: float = 20.0) -> Coloured:
     np.savetxt(folder / "identify.csv", table, delimiter=",", header="t,force,x", comments="", fmt="%.10g")
     rig = rigs.load(folder)
     return Coloured(Model(rig, rig.recording(folder / "identify.csv"), {}))
+
+
+def test_a_fit_ends_where_plant_and_noise_agree(tmp_path):
+    """Under the noise that it ends with, the plant's own fit is nowhere else."""
+    before = recorded(tmp_path)
+    before = before.ordered(before.residual({}))
+    assert before.order
+    fit = before.fit([Unknown("mass", 20.0, 1.0, 1.0), Unknown("viscous", 300.0, 30.0, 1.0)])
+    again, first = (Likelihood.fit(noise, fit.unknowns, fit.values) for noise in (fit.likelihood, before))
+    for u in fit.unknowns:
+        assert abs(again.values[u.symbol] - fit.values[u.symbol]) < 0.1 * fit.deviation(u.symbol)
+    assert abs(first.values["viscous"] - fit.values["viscous"]) > 0.2 * fit.deviation("viscous")
 
 
 def test_a_plant_in_other_steps_is_the_plant_compiled_for_them(tmp_path):
