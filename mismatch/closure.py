@@ -103,7 +103,7 @@ class _Unknowns:
         for _, key in keys:
             unknowns = [again._unknown(f) for f in effects[key].free]
             start = {**base.values, **{f.symbol: 0.0 for f in effects[key].free}}
-            columns.append(likelihood.slopes(unknowns, start, base.shifts, base.errors, base.temper))
+            columns.append(base.rows(unknowns, start))
         if rig.window:
             for place, column in sensors(base).items():
                 keys.append(place)

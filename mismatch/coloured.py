@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import ENOUGH, ITERATIONS, Descent, Fit, Likelihood, Unknown
+from greygate.mismatch.fit import ENOUGH, ITERATIONS, Descent, Fit, Led, Likelihood, Unknown
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.runs import along, whole
@@ -131,6 +131,7 @@ class Coloured(Likelihood):
         enough: float = ENOUGH,
         slack: float = 0.0,
         both: bool = False,
+        led: Led | None = None,
     ) -> Fit:
         """Fit plant and noise in turn until neither gains. `cost` is -2 log of the joint likelihood and the priors.
 
@@ -139,6 +140,7 @@ class Coloured(Likelihood):
         """
         descent, likelihood = Descent(self, unknowns, values or {}, self.nothing()), self
         descent.both = both
+        descent.keep(led)
         best: Fit | None = None
         for _ in range(ROUNDS if self.order else WHITE_ROUNDS):
             fit = descent.ended(iterations, enough=enough, slack=slack)

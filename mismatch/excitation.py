@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from greygate.errors import InputError
+from greygate.mismatch.cores import each
 from greygate.mismatch.effects import GENERAL, SENSOR, Effect, fitting
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.model import FILTERS, TINY, Model
@@ -57,18 +58,21 @@ def unseen(fit: Fit, effects: Iterable[Effect] | None = None) -> list[str]:
     likelihood = fit.likelihood
     model = likelihood.model
     values = {s: v for s, v in fit.values.items() if s in model.values}
-    seen, tried = set(), []
     if effects is None:
         effects = fitting(model.rig.plant, model.rig.datasheet, model.effects).values()
-    for effect in effects:
-        if effect.id == "unknown":
-            continue
-        tried.append(effect.id)
-        typical = {**values, **effect.set, **{f.symbol: f.guess[0] if f.guess else f.typical for f in effect.free}}
-        change = likelihood.errors(typical, fit.shifts) - fit.errors
-        if not np.sum(np.square(change)) < SEEN:
-            seen.add(effect.id)
-    return sorted(set(tried) - seen)
+    tried = [effect for effect in effects if effect.id != "unknown"]
+    rough, gives, base = fit.rough
+
+    def shows(effect: Effect) -> bool:
+        typical = {**effect.set, **{f.symbol: f.guess[0] if f.guess else f.typical for f in effect.free}}
+        if answer := rough.model.answering(effect, values, fit.shifts * likelihood.local_scale):
+            change = likelihood.white(answer(typical))
+        else:
+            change = gives({**values, **typical}, fit.shifts) - base
+        return not np.sum(np.square(change)) < SEEN
+
+    seen = {effect.id for effect, shown in zip(tried, each(shows, tried), strict=True) if shown}
+    return sorted({effect.id for effect in tried} - seen)
 
 
 # -- what a general effect does more than a gain ---------------------------------------------------------------------

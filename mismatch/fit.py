@@ -59,6 +59,9 @@ NEAR = 0.1  # of what the rival's cost exceeds that of noise: a fit that is not 
 FAR = 100.0  # or farther than this cost, which is more than any evidence asked for
 MORE_THAN_NOISE = 2.0  # times the cost that noise makes: with more, something is left
 
+Led = tuple[np.ndarray, Mapping[str, np.ndarray]]
+"""How a residual moves with the shifts of the windows, and with the number of each symbol (`Fit.moves`)."""
+
 Seen = Callable[[Mapping[str, float], np.ndarray], np.ndarray]
 
 
@@ -115,6 +118,7 @@ class Fit:
     converged: bool
     temper: np.ndarray
     way: float = STEP
+    led: "Led | None" = None
 
     @property
     def room(self) -> np.ndarray:
@@ -122,9 +126,15 @@ class Fit:
         return _limits(self.unknowns).T - self.numbers[:, None]
 
     @cached_property
+    def rough(self) -> "tuple[Likelihood, Seen, np.ndarray]":
+        """What `Likelihood.roughly` gives of the errors here."""
+        return self.likelihood.roughly(self.values, self.shifts, self.errors)
+
+    @cached_property
     def basis(self):
         """Of each window's shifts: (q, r), or None where nothing is shifted."""
-        return self.likelihood.basis(self.values, self.shifts, self.errors, self.temper)
+        rough, gives, base = self.rough
+        return self.likelihood.shifted(rough.by_shifts(gives, base, self.values, self.shifts), self.temper)
 
     @cached_property
     def slopes(self) -> np.ndarray:
@@ -132,8 +142,16 @@ class Fit:
         return self._slopes()
 
     def _slopes(self, both: float = 0.0) -> np.ndarray:
-        slopes = self.likelihood.slopes(self.unknowns, self.values, self.shifts, self.errors, self.temper, both)
-        return self.likelihood.eliminate(slopes, None, self.basis)[0]
+        return self.by(self.unknowns, self.values, both)
+
+    def by(self, unknowns: Sequence[Unknown], values: Mapping[str, float], both: float = 0.0) -> np.ndarray:
+        """Likewise by the numbers of other unknowns at `values`, which add to those here what does nothing there."""
+        return self.likelihood.eliminate(self.rows(unknowns, values, both), None, self.basis)[0]
+
+    def rows(self, unknowns: Sequence[Unknown], values: Mapping[str, float], both: float = 0.0) -> np.ndarray:
+        """The same, with what the shifts explain."""
+        rough, gives, base = self.rough
+        return self.likelihood.rows(rough.by_numbers(unknowns, gives, base, values, self.shifts, both), self.temper)
 
     def centred(self, way: float) -> "Fit":
         """This fit, its slopes by differences to both sides: what is known together only stays so in small ones.
@@ -503,7 +521,11 @@ class Likelihood:
         fine=False,
         step=STEP,
     ) -> np.ndarray:
-        """Likewise with each unknown's number (samples, channels, k). both, fine, step: as for `slopes`."""
+        """Likewise with each unknown's number (samples, channels, k), by differences to one side or, inside, to both.
+
+        both: of their scales, to both sides. fine: by small ones of the plant's own numbers. step: of the others'
+        scales.
+        """
         if not symbols:
             return np.zeros((*base.shape, 0))
 
@@ -530,23 +552,11 @@ class Likelihood:
         return rows - q @ inside, inside
 
     def slopes(
-        self,
-        symbols: Sequence[Unknown],
-        values: Mapping[str, float],
-        shifts,
-        errors,
-        temper,
-        both=0.0,
-        fine=False,
-        step=STEP,
+        self, symbols: Sequence[Unknown], values: Mapping[str, float], shifts: np.ndarray, errors, temper
     ) -> np.ndarray:
-        """Of `errors` by each unknown's number, (windows, rows, k), by differences to one side or, inside, to both.
-
-        Runs are in longer steps. both: of their scales, to both sides. fine: by small ones of the plant's own numbers.
-        step: of the others' scales.
-        """
+        """Of `errors` by each unknown's number (windows, rows, k), by differences of runs in longer steps."""
         rough, seen, base = self.roughly(values, shifts, errors)
-        return self.rows(rough.by_numbers(symbols, seen, base, values, shifts, both, fine, step), temper)
+        return self.rows(rough.by_numbers(symbols, seen, base, values, shifts), temper)
 
     def fit(
         self,
@@ -559,6 +569,7 @@ class Likelihood:
         enough: float = ENOUGH,
         slack: float = 0.0,
         both: bool = False,
+        led: Led | None = None,
     ) -> Fit:
         """The best fit near `values` (of unknowns, and of other parameters, which stay) and `shifts`.
 
@@ -570,6 +581,7 @@ class Likelihood:
         """
         descent = Descent(self, unknowns, values or {}, self.nothing() if shifts is None else shifts.copy())
         descent.both = both
+        descent.keep(led)
         return descent.ended(iterations, tempered=tempered, rival=rival, enough=enough, slack=slack)
 
 
@@ -606,6 +618,9 @@ class Descent:
     """
 
     moves: tuple[np.ndarray, np.ndarray] | None = None  # how the residual moves (`Fit.moves`), if that is known
+    kept: Led | None = None  # what of that is not taken anew
+    led: Led | None = None  # what led here last
+    partial = False  # whether some of it was kept
     sharp = dull = False  # whether slopes are to be those of the run itself; whether they were of longer steps
     both = False  # sides, to which slopes are taken
     fine: bool | None = None  # whether small differences of the plant's numbers serve, as soon as that is known
@@ -631,7 +646,7 @@ class Descent:
         at = self.at
         return Fit(
             self.likelihood, self.unknowns, self.fixed, at.numbers, at.shifts, at.errors, self.weight, at.cost,
-            converged, self.temper, self.way,
+            converged, self.temper, self.way, self.led,
         )  # fmt: skip
 
     def point(self, numbers: np.ndarray, shifts: np.ndarray) -> _Point:
@@ -664,31 +679,50 @@ class Descent:
         for iteration in range(iterations):
             if tempered:
                 self.reweigh()
-                linear = self.moves = None
-            fresh = linear is None and self.moves is None
+                linear = None
+            fresh = linear is None and self.moves is None and self.kept is None
             linear = linear or self.linearised()
             found = self.step(linear, damping, enough, fresh)
             if found is None:
-                if final and (self.sharpened() or self.coarsened()):
-                    linear = self.moves = None
+                if self.doubted() or (final and (self.sharpened() or self.coarsened())):
+                    linear = self.moves = self.kept = None
                     continue
                 return True
             point, promised = found
             if not point.cost < self.at.cost:
-                linear = self.moves = None  # of a point too far away
+                linear = self.passed()  # of a point too far away
                 continue
             gain, self.at = self.at.cost - point.cost, point
             damping.fall()
             if gain < max(enough, slack * (point.cost - self.likelihood.count)):
-                if not (final and (self.sharpened() or self.coarsened())):
+                if not (self.doubted() or (final and (self.sharpened() or self.coarsened()))):
                     return True
-                linear = self.moves = None
+                linear = self.moves = self.kept = None
                 continue
             if iteration and point.cost - HOPED * gain > rival + max(NEAR * (rival - self.likelihood.count), FAR):
                 return False
             if gain < STRAIGHT * promised or damping.value > 0:
-                linear = self.moves = None
+                linear = self.passed()
         return False
+
+    def keep(self, led: Led | None) -> None:
+        """What of `led` is not taken anew: all but how numbers without a prior move, which are those of effects.
+
+        In the windows of a rig a plant moves with its own numbers much alike, wherever they are; a free run does not.
+        """
+        known = {u.symbol for u in self.unknowns if np.isfinite(u.prior)}
+        use = led and self.likelihood.model.rig.window
+        self.kept = (led[0], {s: moved for s, moved in led[1].items() if s in known}) if use else None
+
+    def passed(self) -> None:
+        """What was linearised serves no more: it is taken anew, first of effects' numbers alone, then of all."""
+        effects = any(np.isinf(u.prior) for u in self.unknowns)
+        self.keep(self.led if effects and not self.partial else None)
+        self.moves = None
+
+    def doubted(self) -> bool:
+        """Whether slopes that were kept do not show that this is the end: those lead as far astray as errors are."""
+        return self.partial and self.at.cost > MORE_THAN_NOISE * self.likelihood.count
 
     def reweigh(self) -> None:
         """Let each channel's errors count less by as much as they exceed the sensors', here."""
@@ -715,12 +749,18 @@ class Descent:
             rough, seen, base = rough.roughly(values, at.shifts, base, white=False)
             self.dull = rough is not self.likelihood
         given = seen, base, values, at.shifts
-        by_shifts = rough.by_shifts(*given)
+        kept, self.kept = self.kept, None
+        self.partial = kept is not None
+        by_shifts, had = kept or (rough.by_shifts(*given), {})
         if self.fine is None:
             self.fine = self.smooth()
             if not self.fine:
                 self.coarsened()
-        return by_shifts, rough.by_numbers(self.unknowns, *given, FINE * self.both, self.fine, self.way)
+        new = [u for u in self.unknowns if u.symbol not in had]
+        columns = rough.by_numbers(new, *given, FINE * self.both, self.fine, self.way)
+        found = {**had, **{u.symbol: columns[:, :, j] for j, u in enumerate(new)}}
+        self.led = by_shifts, {u.symbol: found[u.symbol] for u in self.unknowns}
+        return by_shifts, np.stack([*self.led[1].values()], axis=2) if self.unknowns else columns
 
     def sharpened(self) -> bool:
         """Whether slopes become those of the run itself, which they were not: where more than noise is left, it counts.

@@ -15,7 +15,7 @@ import numpy as np
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.cores import each
 from greygate.mismatch.effects import Effect, Free, fitting
-from greygate.mismatch.fit import STEP, Fit, Likelihood, Unknown, tame
+from greygate.mismatch.fit import STEP, Fit, Led, Likelihood, Unknown, tame
 from greygate.mismatch.linearised import Normal, index, nothing, pair_gains, released_gains, saving, solve
 from greygate.mismatch.model import BEGINS, BLUR, EARLY, MOST_EARLY, TIMING, TINY, Model
 from greygate.mismatch.noise import Noise
@@ -133,6 +133,7 @@ class Search:
         self.checked = False  # whether its columns are what rig.toml says (`misread`)
         self.unseen = False  # whether the held-out recording decides nothing
         self.between = False  # whether inputs moved between the samples
+        self.led_by: dict[tuple, tuple[Recording, Led]] = {}  # what led the last fit over a recording and its windows
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
         if noise is not None:
             self.under(noise)
@@ -427,7 +428,7 @@ class Search:
         strength, where `point` is empty; else one secant from no effect to the sizes `point`.
         """
         add = None if self.points(effect) != [{}] else likelihood.model.added(effect, fit.values)
-        answer = likelihood.rough().model.answering(effect, fit.values, fit.shifts * likelihood.local_scale)
+        answer = fit.rough[0].model.answering(effect, fit.values, fit.shifts * likelihood.local_scale)
 
         def answered(adds: Callable[[Mapping[str, float]], np.ndarray], size: Mapping[str, float]) -> np.ndarray:
             return likelihood.rows(tame(-likelihood.white(adds(size))), fit.temper)
@@ -442,8 +443,9 @@ class Search:
                     made = [answered(answer, {**null, f.symbol: STEP * f.typical}) / STEP for f in effect.strengths]
                     columns = np.stack(made, axis=2)
                 elif point:
-                    moved = likelihood.errors({**values, **point}, fit.shifts)
-                    columns = likelihood.rows(tame(moved - fit.errors), fit.temper)[:, :, None]
+                    _, gives, base = fit.rough
+                    moved = gives({**values, **point}, fit.shifts)
+                    columns = likelihood.rows(tame(moved - base), fit.temper)[:, :, None]
                 elif add is not None:
                     null = {f.symbol: 0.0 for f in effect.strengths}
                     made = [add({**shape, **null, f.symbol: f.typical}) for f in effect.strengths]
@@ -451,7 +453,8 @@ class Search:
                 else:
                     start = {**values, **{f.symbol: 0.0 for f in effect.strengths}}
                     unknowns = [self._unknown(f) for f in effect.strengths]
-                    columns = likelihood.slopes(unknowns, start, fit.shifts, fit.errors, fit.temper)
+                    yield shape, point, fit.by(unknowns, start)
+                    continue
                 yield shape, point, likelihood.eliminate(columns, None, fit.basis)[0]
 
     def points(self, effect: Effect) -> list[dict[str, float]]:
@@ -503,7 +506,7 @@ class Search:
             return True
         others = [u for u in fit.unknowns if u.symbol != TIMING]
         free = Unknown(TIMING, 0.0, self.rig.dt), Unknown(EARLY, 0.0, SPREAD, np.inf, 0.0, MOST_EARLY)
-        again = fit.likelihood.fit([*others, *free], fit.values, fit.shifts, **{**how, "enough": ROUGH})
+        again = fit.likelihood.fit([*others, *free], fit.values, fit.shifts, led=fit.led, **{**how, "enough": ROUGH})
         self.between = again.values[EARLY] > MOVED * again.deviation(EARLY)
         return self.between
 
@@ -537,7 +540,13 @@ class Search:
         if likelihood is self.screen and likelihood is not self.final:
             options = {"enough": ROUGH, "slack": SLACK, **options}
         options = {"slack": LAST_SLACK, **options}
-        return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
+        unknowns, model = self.unknowns(hypothesis), likelihood.model
+        over = id(model.recording), model.window
+        _, led = self.led_by.get(over, (None, None))
+        fit = likelihood.fit(unknowns, start, shifts, led=led, **options)
+        if fit.led:
+            self.led_by[over] = model.recording, fit.led
+        return fit
 
 
 def _off(model: Model, longer: Model) -> float:
