@@ -136,11 +136,10 @@ class Coloured(Likelihood):
         """Fit plant and noise in turn until neither gains. `cost` is -2 log of the joint likelihood and the priors.
 
         tempered, rival: without effect, for noise takes up what the plant leaves out, and its size is not known before;
-        so are shifts, for a free run has none.
+        so are shifts, for a free run has none, and what `led` another one.
         """
         descent, likelihood = Descent(self, unknowns, values or {}, self.nothing()), self
         descent.both = both
-        descent.keep(led)
         best: Fit | None = None
         for _ in range(ROUNDS if self.order else WHITE_ROUNDS):
             fit = descent.ended(iterations, enough=enough, slack=slack)

@@ -679,30 +679,32 @@ class Descent:
         for iteration in range(iterations):
             if tempered:
                 self.reweigh()
-                linear = None
+                linear = self.moves = None
             fresh = linear is None and self.moves is None and self.kept is None
             linear = linear or self.linearised()
             found = self.step(linear, damping, enough, fresh)
             if found is None:
-                if self.doubted() or (final and (self.sharpened() or self.coarsened())):
-                    linear = self.moves = self.kept = None
-                    continue
-                return True
+                if not self.anew(final):
+                    return True
+                linear = None
+                continue
             point, promised = found
             if not point.cost < self.at.cost:
-                linear = self.passed()  # of a point too far away
+                linear = None  # of a point too far away
+                self.passed()
                 continue
             gain, self.at = self.at.cost - point.cost, point
             damping.fall()
             if gain < max(enough, slack * (point.cost - self.likelihood.count)):
-                if not (self.doubted() or (final and (self.sharpened() or self.coarsened()))):
+                if not self.anew(final):
                     return True
-                linear = self.moves = self.kept = None
+                linear = None
                 continue
             if iteration and point.cost - HOPED * gain > rival + max(NEAR * (rival - self.likelihood.count), FAR):
                 return False
             if gain < STRAIGHT * promised or damping.value > 0:
-                linear = self.passed()
+                linear = None
+                self.passed()
         return False
 
     def keep(self, led: Led | None) -> None:
@@ -711,8 +713,9 @@ class Descent:
         In the windows of a rig a plant moves with its own numbers much alike, wherever they are; a free run does not.
         """
         known = {u.symbol for u in self.unknowns if np.isfinite(u.prior)}
-        use = led and self.likelihood.model.rig.window
-        self.kept = (led[0], {s: moved for s, moved in led[1].items() if s in known}) if use else None
+        self.kept = None
+        if led and self.likelihood.model.rig.window:
+            self.kept = led[0], {s: moved for s, moved in led[1].items() if s in known}
 
     def passed(self) -> None:
         """What was linearised serves no more: it is taken anew, first of effects' numbers alone, then of all."""
@@ -720,9 +723,16 @@ class Descent:
         self.keep(self.led if effects and not self.partial else None)
         self.moves = None
 
-    def doubted(self) -> bool:
-        """Whether slopes that were kept do not show that this is the end: those lead as far astray as errors are."""
-        return self.partial and self.at.cost > MORE_THAN_NOISE * self.likelihood.count
+    def anew(self, final: bool) -> bool:
+        """Whether this is no end yet, and all is taken anew: what was kept, too, and of a last fit in finer slopes.
+
+        What was kept leads as far astray as errors are large.
+        """
+        doubted = self.partial and self.at.cost > MORE_THAN_NOISE * self.likelihood.count
+        if not (doubted or (final and (self.sharpened() or self.coarsened()))):
+            return False
+        self.moves = self.kept = None
+        return True
 
     def reweigh(self) -> None:
         """Let each channel's errors count less by as much as they exceed the sensors', here."""

@@ -506,7 +506,7 @@ class Search:
             return True
         others = [u for u in fit.unknowns if u.symbol != TIMING]
         free = Unknown(TIMING, 0.0, self.rig.dt), Unknown(EARLY, 0.0, SPREAD, np.inf, 0.0, MOST_EARLY)
-        again = fit.likelihood.fit([*others, *free], fit.values, fit.shifts, led=fit.led, **{**how, "enough": ROUGH})
+        again = fit.likelihood.fit([*others, *free], fit.values, fit.shifts, **{**how, "enough": ROUGH})
         self.between = again.values[EARLY] > MOVED * again.deviation(EARLY)
         return self.between
 
