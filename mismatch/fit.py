@@ -620,7 +620,7 @@ class Descent:
     moves: tuple[np.ndarray, np.ndarray] | None = None  # how the residual moves (`Fit.moves`), if that is known
     kept: Led | None = None  # what of that is not taken anew
     led: Led | None = None  # what led here last
-    partial = False  # whether some of it was kept
+    partial = misled = False  # whether some of it was kept; whether such a step led up
     sharp = dull = False  # whether slopes are to be those of the run itself; whether they were of longer steps
     both = False  # sides, to which slopes are taken
     fine: bool | None = None  # whether small differences of the plant's numbers serve, as soon as that is known
@@ -691,6 +691,7 @@ class Descent:
             point, promised = found
             if not point.cost < self.at.cost:
                 linear = None  # of a point too far away
+                self.misled |= self.partial
                 self.passed()
                 continue
             gain, self.at = self.at.cost - point.cost, point
@@ -720,7 +721,7 @@ class Descent:
     def passed(self) -> None:
         """What was linearised serves no more: it is taken anew, first of effects' numbers alone, then of all."""
         effects = any(np.isinf(u.prior) for u in self.unknowns)
-        self.keep(self.led if effects and not self.partial else None)
+        self.keep(self.led if effects and not (self.partial or self.misled) else None)
         self.moves = None
 
     def anew(self, final: bool) -> bool:

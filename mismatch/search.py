@@ -133,7 +133,7 @@ class Search:
         self.checked = False  # whether its columns are what rig.toml says (`misread`)
         self.unseen = False  # whether the held-out recording decides nothing
         self.between = False  # whether inputs moved between the samples
-        self.led_by: dict[tuple, tuple[Recording, Led]] = {}  # what led the last fit over a recording and its windows
+        self.led_by: dict[tuple, tuple[Recording, float, Led]] = {}  # over a recording and its windows, the best fit
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
         if noise is not None:
             self.under(noise)
@@ -209,6 +209,7 @@ class Search:
     def under(self, noise: Noise) -> "Search":
         """This search with another noise; fits of the one before are no longer comparable."""
         self.final.noise = self.screen.noise = noise
+        self.led_by = {}
         return self
 
     def skips(self, hypothesis: Hypothesis) -> bool:
@@ -542,10 +543,10 @@ class Search:
         options = {"slack": LAST_SLACK, **options}
         unknowns, model = self.unknowns(hypothesis), likelihood.model
         over = id(model.recording), model.window
-        _, led = self.led_by.get(over, (None, None))
+        _, least, led = self.led_by.get(over, (None, np.inf, None))
         fit = likelihood.fit(unknowns, start, shifts, led=led, **options)
-        if fit.led:
-            self.led_by[over] = model.recording, fit.led
+        if fit.led and fit.cost < least:
+            self.led_by[over] = model.recording, fit.cost, fit.led
         return fit
 
 
