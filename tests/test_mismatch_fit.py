@@ -11,7 +11,7 @@ import pytest
 from greygate.mismatch import cores, rig, simulation
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import Fit, Likelihood, Unknown, _inverse
+from greygate.mismatch.fit import Descent, Fit, Likelihood, Unknown, _inverse
 from greygate.mismatch.linearised import Normal, pair_gains, released_gains, solve
 from greygate.mismatch.model import EARLY, FILTERS, Model, delayed, lagged
 from greygate.mismatch.noise import LONGEST, roughness, runs
@@ -654,3 +654,57 @@ def test_the_unit_of_one_unknown_decides_nothing_of_what_is_known_of_the_others(
     assert found == pytest.approx(np.linalg.inv(information), rel=1e-9)
     information[2] = information[:, 2] = 0.0
     assert _inverse(information)[2] == pytest.approx([0.0, 0.0, 0.0])
+
+
+def searched(folder, window: float | None = 0.4) -> Search:
+    """A search on the slide with a spring, in windows or in free run."""
+    model = likelihood(folder, window).model
+    return Search(model.rig, model.recording, {"spring": SPRING})
+
+
+@pytest.mark.parametrize(("window", "fewer"), [(0.4, True), (None, False)])
+def test_a_fit_in_windows_begins_with_what_led_the_best_before(folder, window, fewer):
+    search, spring = searched(folder, window), Hypothesis(("spring",))
+    model = search.final.model
+
+    def fitted():
+        before = model.runs
+        return search.fit(search.final, spring, {}), model.runs - before
+
+    first, all_ = fitted()
+    again, kept = fitted()
+    assert (kept < all_) is fewer
+    assert again.cost == pytest.approx(first.cost, abs=0.1)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0])
+def test_what_is_kept_and_leads_astray_is_taken_anew(folder, wrong):
+    """None promises a gain, or each step leads up."""
+    search = searched(folder)
+    right = search.fit(search.final, Hypothesis(("spring",)), {})
+    shifts, numbers = right.led
+    led = wrong * shifts, {symbol: wrong * moved for symbol, moved in numbers.items()}
+    unknowns = search.unknowns(Hypothesis(("spring",)))
+    assert search.final.fit(unknowns, led=led).cost == pytest.approx(right.cost, abs=0.1)
+
+
+def test_an_effects_numbers_are_taken_anew_before_those_of_the_plant(folder, monkeypatch):
+    search, asked, by_numbers = searched(folder), [], Likelihood.by_numbers
+
+    def asking(likelihood, unknowns, *given, **how):
+        asked.append([u.symbol for u in unknowns])
+        return by_numbers(likelihood, unknowns, *given, **how)
+
+    monkeypatch.setattr(Likelihood, "by_numbers", asking)
+    descent = Descent(search.final, search.unknowns(Hypothesis(("spring",))), {}, search.final.nothing())
+    descent.linearised()
+    descent.passed()
+    descent.linearised()
+    descent.passed()
+    descent.linearised()
+    assert [set(symbols) - {"stiffness"} != set() for symbols in asked] == [True, False, True]
+    assert asked[1] == ["stiffness"]
+    descent.misled = True
+    descent.passed()
+    descent.linearised()
+    assert len(asked[-1]) == len(descent.unknowns)
