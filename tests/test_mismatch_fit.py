@@ -11,7 +11,7 @@ import pytest
 from greygate.mismatch import cores, rig, simulation
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import Descent, Fit, Likelihood, Unknown, _inverse
+from greygate.mismatch.fit import ITERATIONS, Descent, Fit, Likelihood, Unknown, _inverse
 from greygate.mismatch.linearised import Normal, pair_gains, released_gains, solve
 from greygate.mismatch.model import EARLY, FILTERS, Model, delayed, lagged
 from greygate.mismatch.noise import LONGEST, roughness, runs
@@ -684,8 +684,10 @@ def test_what_is_kept_and_leads_astray_is_taken_anew(folder, wrong):
     right = search.fit(search.final, Hypothesis(("spring",)), {})
     shifts, numbers = right.led
     led = wrong * shifts, {symbol: wrong * moved for symbol, moved in numbers.items()}
-    unknowns = search.unknowns(Hypothesis(("spring",)))
-    assert search.final.fit(unknowns, led=led).cost == pytest.approx(right.cost, abs=0.1)
+    descent = Descent(search.final, search.unknowns(Hypothesis(("spring",))), {}, search.final.nothing())
+    descent.keep(led)
+    assert descent.ended(ITERATIONS).cost == pytest.approx(right.cost, abs=0.1)
+    assert descent.misled is (wrong < 0)
 
 
 def test_an_effects_numbers_are_taken_anew_before_those_of_the_plant(folder, monkeypatch):

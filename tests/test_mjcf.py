@@ -12,6 +12,7 @@ from greygate import diagnose
 from greygate.errors import InputError
 from greygate.mismatch.diagnosis import READ
 from greygate.mismatch.entries import fitting
+from greygate.mismatch.excitation import unseen
 from greygate.mismatch.fit import Likelihood, Unknown
 from greygate.mismatch.general import general
 from greygate.mismatch.model import TINY, Model
@@ -655,6 +656,18 @@ def test_what_effects_do_to_an_arm_is_told_by_a_linear_step_a_sample(adding, mon
     off = {key: np.linalg.norm(told[key] - one) / (np.linalg.norm(one) + TINY) for key, one in simulated.items()}
     assert max(off.values()) < 0.15
     assert np.median([*off.values()]) < 0.02
+
+
+def test_what_an_arm_cannot_show_is_told_by_it_too(adding, monkeypatch):
+    fit = adding.base(adding.screen)
+    one = next(effect for key, effect in adding.effects.items() if key.startswith("place_friction"))
+    slight = replace(one, key="slight", of="", free=tuple(replace(f, typical=1e-9 * f.typical) for f in one.free))
+    effects = [*adding.effects.values(), slight]
+    told = unseen(fit, effects)
+    assert "slight" in told
+    assert one.id not in told
+    monkeypatch.setattr(Model, "answering", lambda *given: None)
+    assert unseen(fit, effects) == told
 
 
 @pytest.mark.parametrize(("noise", "steps"), [(1e-2, 1), (1e-7, 20)])
