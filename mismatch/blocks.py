@@ -288,8 +288,7 @@ def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
         )
         vars(less).update(slopes=fit.slopes[:, :, shared], projected=fit.projected, basis=fit.basis)
         if exact:
-            by_shifts, by_numbers = fit.moves
-            vars(less)["moves"] = by_shifts, by_numbers[:, :, shared]
+            vars(less)["moves"] = fit.moves
         return _without(less, held, exact) if shared else fit.values
     if exact:
         return fit.without(held, REFIT)

@@ -59,8 +59,9 @@ NEAR = 0.1  # of what the rival's cost exceeds that of noise: a fit that is not 
 FAR = 100.0  # or farther than this cost, which is more than any evidence asked for
 MORE_THAN_NOISE = 2.0  # times the cost that noise makes: with more, something is left
 
-Led = tuple[np.ndarray, Mapping[str, np.ndarray]]
-"""How a residual moves with the shifts of the windows, and with the number of each symbol (`Fit.moves`)."""
+Moves = tuple[np.ndarray, Mapping[str, np.ndarray]]
+"""How a residual moves: with the windows' shifts (samples, channels, locals), with each symbol's number (samples,
+channels)."""
 
 Seen = Callable[[Mapping[str, float], np.ndarray], np.ndarray]
 
@@ -105,6 +106,7 @@ class Fit:
     errors: (target - prediction) / sigma, (samples, channels). weight: of each number's square in the cost (k,).
     cost: sum of squares of the tempered errors, of the shifts and of the numbers, each by its prior.
     temper: what the errors of each channel were divided by (channels,). way: of differences that lead on from here.
+    leading: how the residual moved where it was linearised last.
     """
 
     likelihood: "Likelihood"
@@ -118,7 +120,7 @@ class Fit:
     converged: bool
     temper: np.ndarray
     way: float = STEP
-    led: "Led | None" = None
+    leading: Moves | None = None
 
     @property
     def room(self) -> np.ndarray:
@@ -173,12 +175,13 @@ class Fit:
         return self.likelihood.eliminate(rows, tail, self.basis)[0][:, :, 0]
 
     @cached_property
-    def moves(self) -> tuple[np.ndarray, np.ndarray]:
-        """How the residual moves with each of the windows' shifts and with the numbers (samples, channels, each)."""
+    def moves(self) -> Moves:
+        """How the residual moves here."""
         of, values, shifts = self.likelihood, self.values, self.shifts
         rough, seen, base = of.roughly(values, shifts, of.left(values, shifts), white=False)
         given = seen, base, values, shifts
-        return rough.by_shifts(*given), rough.by_numbers(self.unknowns, *given, step=self.way)
+        by_numbers = rough.by_numbers(self.unknowns, *given, step=self.way)
+        return rough.by_shifts(*given), {u.symbol: by_numbers[:, :, j] for j, u in enumerate(self.unknowns)}
 
     def without(self, held: np.ndarray, iterations: int) -> dict[str, float]:
         """The values of a fit to all samples but those `held` (samples,) of bool, which begins here.
@@ -569,7 +572,7 @@ class Likelihood:
         enough: float = ENOUGH,
         slack: float = 0.0,
         both: bool = False,
-        led: Led | None = None,
+        leading: Moves | None = None,
     ) -> Fit:
         """The best fit near `values` (of unknowns, and of other parameters, which stay) and `shifts`.
 
@@ -581,7 +584,7 @@ class Likelihood:
         """
         descent = Descent(self, unknowns, values or {}, self.nothing() if shifts is None else shifts.copy())
         descent.both = both
-        descent.keep(led)
+        descent.keep(leading)
         return descent.ended(iterations, tempered=tempered, rival=rival, enough=enough, slack=slack)
 
 
@@ -617,9 +620,9 @@ class Descent:
     steps do what it promises.
     """
 
-    moves: tuple[np.ndarray, np.ndarray] | None = None  # how the residual moves (`Fit.moves`), if that is known
-    kept: Led | None = None  # what of that is not taken anew
-    led: Led | None = None  # what led here last
+    moves: Moves | None = None  # by which it is linearised; None: they are to be taken anew,
+    kept: Moves | None = None  # but for these
+    leading: Moves | None = None  # the last of them
     partial = misled = False  # whether some of it was kept; whether such a step led up
     sharp = dull = False  # whether slopes are to be those of the run itself; whether they were of longer steps
     both = False  # sides, to which slopes are taken
@@ -646,7 +649,7 @@ class Descent:
         at = self.at
         return Fit(
             self.likelihood, self.unknowns, self.fixed, at.numbers, at.shifts, at.errors, self.weight, at.cost,
-            converged, self.temper, self.way, self.led,
+            converged, self.temper, self.way, self.leading,
         )  # fmt: skip
 
     def point(self, numbers: np.ndarray, shifts: np.ndarray) -> _Point:
@@ -708,20 +711,20 @@ class Descent:
                 self.passed()
         return False
 
-    def keep(self, led: Led | None) -> None:
-        """What of `led` is not taken anew: all but how numbers without a prior move, which are those of effects.
+    def keep(self, leading: Moves | None) -> None:
+        """What of `leading` is not taken anew: all but how numbers without a prior move, which are those of effects.
 
         In the windows of a rig a plant moves with its own numbers much alike, wherever they are; a free run does not.
         """
         known = {u.symbol for u in self.unknowns if np.isfinite(u.prior)}
         self.kept = None
-        if led and self.likelihood.model.rig.window:
-            self.kept = led[0], {s: moved for s, moved in led[1].items() if s in known}
+        if leading and self.likelihood.model.rig.window:
+            self.kept = leading[0], {s: moved for s, moved in leading[1].items() if s in known}
 
     def passed(self) -> None:
         """What was linearised serves no more: it is taken anew, first of effects' numbers alone, then of all."""
         effects = any(np.isinf(u.prior) for u in self.unknowns)
-        self.keep(self.led if effects and not (self.partial or self.misled) else None)
+        self.keep(self.leading if effects and not (self.partial or self.misled) else None)
         self.moves = None
 
     def anew(self, final: bool) -> bool:
@@ -746,14 +749,17 @@ class Descent:
         likelihood = self.likelihood
         if self.moves is None:
             self.moves = self.moving()
-        shifts, numbers = (likelihood.white(m) if m.size else m for m in self.moves)
+        by_shifts, by_number = self.moves
+        by_numbers = [by_number[u.symbol][:, :, None] for u in self.unknowns]
+        moved = np.concatenate([np.zeros((*by_shifts.shape[:2], 0)), *by_numbers], axis=2)
+        shifts, numbers = (likelihood.white(m) if m.size else m for m in (by_shifts, moved))
         basis, slopes = likelihood.shifted(shifts, self.temper), likelihood.rows(numbers, self.temper)
         slopes, explained = likelihood.eliminate(slopes, None, basis)
         flat = flattened(slopes)
         return _Linear(flat, explained, basis, flat.T @ flat)
 
-    def moving(self) -> tuple[np.ndarray, np.ndarray]:
-        """How the residual moves here (`Fit.moves`)."""
+    def moving(self) -> Moves:
+        """How the residual moves here, but for what is kept."""
         at, values = self.at, _values(self.unknowns, self.at.numbers, self.fixed)
         rough, seen, base = self.likelihood, self.likelihood.left, at.residual
         if not self.sharp:
@@ -770,8 +776,8 @@ class Descent:
         new = [u for u in self.unknowns if u.symbol not in had]
         columns = rough.by_numbers(new, *given, FINE * self.both, self.fine, self.way)
         found = {**had, **{u.symbol: columns[:, :, j] for j, u in enumerate(new)}}
-        self.led = by_shifts, {u.symbol: found[u.symbol] for u in self.unknowns}
-        return by_shifts, np.stack([*self.led[1].values()], axis=2) if self.unknowns else columns
+        self.leading = by_shifts, found
+        return self.leading
 
     def sharpened(self) -> bool:
         """Whether slopes become those of the run itself, which they were not: where more than noise is left, it counts.

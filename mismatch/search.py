@@ -15,7 +15,7 @@ import numpy as np
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.cores import each
 from greygate.mismatch.effects import Effect, Free, fitting
-from greygate.mismatch.fit import STEP, Fit, Led, Likelihood, Unknown, tame
+from greygate.mismatch.fit import STEP, Fit, Likelihood, Moves, Unknown, tame
 from greygate.mismatch.linearised import Normal, index, nothing, pair_gains, released_gains, saving, solve
 from greygate.mismatch.model import BEGINS, BLUR, EARLY, MOST_EARLY, TIMING, TINY, Model
 from greygate.mismatch.noise import Noise
@@ -133,7 +133,7 @@ class Search:
         self.checked = False  # whether its columns are what rig.toml says (`misread`)
         self.unseen = False  # whether the held-out recording decides nothing
         self.between = False  # whether inputs moved between the samples
-        self.led_by: dict[tuple, tuple[Recording, float, Led]] = {}  # over a recording and its windows, the best fit
+        self.leading: dict[tuple, tuple[Recording, float, Moves]] = {}  # the best fit over a recording in windows
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
         if noise is not None:
             self.under(noise)
@@ -209,7 +209,7 @@ class Search:
     def under(self, noise: Noise) -> "Search":
         """This search with another noise; fits of the one before are no longer comparable."""
         self.final.noise = self.screen.noise = noise
-        self.led_by = {}
+        self.leading = {}
         return self
 
     def skips(self, hypothesis: Hypothesis) -> bool:
@@ -543,10 +543,10 @@ class Search:
         options = {"slack": LAST_SLACK, **options}
         unknowns, model = self.unknowns(hypothesis), likelihood.model
         over = id(model.recording), model.window
-        _, least, led = self.led_by.get(over, (None, np.inf, None))
-        fit = likelihood.fit(unknowns, start, shifts, led=led, **options)
-        if fit.led and fit.cost < least:
-            self.led_by[over] = model.recording, fit.cost, fit.led
+        _, least, leading = self.leading.get(over, (None, np.inf, None))
+        fit = likelihood.fit(unknowns, start, shifts, leading=leading, **options)
+        if fit.leading and fit.cost < least:
+            self.leading[over] = model.recording, fit.cost, fit.leading
         return fit
 
 

@@ -682,10 +682,10 @@ def test_what_is_kept_and_leads_astray_is_taken_anew(folder, wrong):
     """None promises a gain, or each step leads up."""
     search = searched(folder)
     right = search.fit(search.final, Hypothesis(("spring",)), {})
-    shifts, numbers = right.led
-    led = wrong * shifts, {symbol: wrong * moved for symbol, moved in numbers.items()}
+    shifts, numbers = right.leading
+    leading = wrong * shifts, {symbol: wrong * moved for symbol, moved in numbers.items()}
     descent = Descent(search.final, search.unknowns(Hypothesis(("spring",))), {}, search.final.nothing())
-    descent.keep(led)
+    descent.keep(leading)
     assert descent.ended(ITERATIONS).cost == pytest.approx(right.cost, abs=0.1)
     assert descent.misled is (wrong < 0)
 
