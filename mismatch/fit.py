@@ -43,6 +43,7 @@ HELD_PART = 20  # but no more than such a part of a recording
 SINGULAR, BREAD_SINGULAR = 1e-13, 1e-14  # of the largest singular value, below which numbers cannot be told apart
 ROUNDING = 1e-6  # of a number's variance: what leaving out a recording adds below it is rounding
 ITERATIONS = 15  # of a fit, at most: near its end each gains more digits than the one before
+DEAR = ITERATIONS  # runs: a linearisation that takes more, as many as all steps of a fit, is not made anew at once
 DIVERGED = 1e100  # standard deviations of noise: what is farther away comes from a run that diverges
 NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal distribution
 HALVINGS = 6  # of the way from the unknowns' origins to a start from which the run diverges
@@ -715,10 +716,11 @@ class Descent:
         """What of `leading` is not taken anew: all but how numbers without a prior move, which are those of effects.
 
         In the windows of a rig a plant moves with its own numbers much alike, wherever they are; a free run does not.
+        Where slopes are cheap, all are taken anew: then fits converge in fewer steps.
         """
         known = {u.symbol for u in self.unknowns if np.isfinite(u.prior)}
         self.kept = None
-        if leading and self.likelihood.model.rig.window:
+        if leading and self.likelihood.model.rig.window and len(self.unknowns) + leading[0].shape[2] > DEAR:
             self.kept = leading[0], {s: moved for s, moved in leading[1].items() if s in known}
 
     def passed(self) -> None:

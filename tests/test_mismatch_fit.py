@@ -656,15 +656,16 @@ def test_the_unit_of_one_unknown_decides_nothing_of_what_is_known_of_the_others(
     assert _inverse(information)[2] == pytest.approx([0.0, 0.0, 0.0])
 
 
-def searched(folder, window: float | None = 0.4) -> Search:
-    """A search on the slide with a spring, in windows or in free run."""
+def searched(folder, monkeypatch, window: float | None = 0.4) -> Search:
+    """A search on the slide with a spring, in windows or in free run, whose slopes are held for dear."""
+    monkeypatch.setattr("greygate.mismatch.fit.DEAR", 0)
     model = likelihood(folder, window).model
     return Search(model.rig, model.recording, {"spring": SPRING})
 
 
 @pytest.mark.parametrize(("window", "fewer"), [(0.4, True), (None, False)])
-def test_a_fit_in_windows_begins_with_what_led_the_best_before(folder, window, fewer):
-    search, spring = searched(folder, window), Hypothesis(("spring",))
+def test_a_fit_in_windows_begins_with_what_led_the_best_before(folder, monkeypatch, window, fewer):
+    search, spring = searched(folder, monkeypatch, window), Hypothesis(("spring",))
     model = search.final.model
 
     def fitted():
@@ -678,9 +679,9 @@ def test_a_fit_in_windows_begins_with_what_led_the_best_before(folder, window, f
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0])
-def test_what_is_kept_and_leads_astray_is_taken_anew(folder, wrong):
+def test_what_is_kept_and_leads_astray_is_taken_anew(folder, monkeypatch, wrong):
     """None promises a gain, or each step leads up."""
-    search = searched(folder)
+    search = searched(folder, monkeypatch)
     right = search.fit(search.final, Hypothesis(("spring",)), {})
     shifts, numbers = right.leading
     leading = wrong * shifts, {symbol: wrong * moved for symbol, moved in numbers.items()}
@@ -691,7 +692,7 @@ def test_what_is_kept_and_leads_astray_is_taken_anew(folder, wrong):
 
 
 def test_an_effects_numbers_are_taken_anew_before_those_of_the_plant(folder, monkeypatch):
-    search, asked, by_numbers = searched(folder), [], Likelihood.by_numbers
+    search, asked, by_numbers = searched(folder, monkeypatch), [], Likelihood.by_numbers
 
     def asking(likelihood, unknowns, *given, **how):
         asked.append([u.symbol for u in unknowns])
@@ -710,3 +711,6 @@ def test_an_effects_numbers_are_taken_anew_before_those_of_the_plant(folder, mon
     descent.passed()
     descent.linearised()
     assert len(asked[-1]) == len(descent.unknowns)
+    monkeypatch.setattr("greygate.mismatch.fit.DEAR", len(descent.unknowns) + len(search.final.model.locals))
+    descent.keep(descent.leading)
+    assert descent.kept is None  # all of that is cheap
