@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import ENOUGH, ITERATIONS, Descent, Fit, Likelihood, Moves, Unknown
+from greygate.mismatch.fit import ENOUGH, ITERATIONS, Descent, Fit, Leading, Likelihood, Unknown
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.runs import along, whole
@@ -131,12 +131,12 @@ class Coloured(Likelihood):
         enough: float = ENOUGH,
         slack: float = 0.0,
         both: bool = False,
-        leading: Moves | None = None,
+        leading: Leading | None = None,
     ) -> Fit:
         """Fit plant and noise in turn until neither gains. `cost` is -2 log of the joint likelihood and the priors.
 
         tempered, rival: without effect, for noise takes up what the plant leaves out, and its size is not known before;
-        so are shifts, for a free run has none, and what was `leading` another one.
+        so are shifts, for a free run has none, and `leading`, which is of windows.
         """
         descent, likelihood = Descent(self, unknowns, values or {}, self.nothing()), self
         descent.both = both

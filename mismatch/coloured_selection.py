@@ -330,7 +330,7 @@ class ColouredSelection(Selection):
         white = replace(fit, likelihood=likelihood, errors=likelihood.errors(fit.values, fit.shifts))
         found: tuple[list[Score], list[Score]] = ([], [])
         for f in (fit, white):
-            scores = self.search.scores(f.likelihood, f, given)
+            scores = self.search.scores(f, given)
             leading = list(takewhile(self._odd, scores))[:count]
             for rare, those in enumerate(found):
                 those += [*leading, *(s for s in scores if self._rare(s) is bool(rare) and s not in leading)][:count]

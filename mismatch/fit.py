@@ -25,6 +25,7 @@ from greygate.mismatch.noise import Noise, deviation
 from greygate.mismatch.runs import along, whole
 from greygate.mismatch.undetermined import deviations
 from greygate.models.training.gauss_newton import Decades, bounded, search
+from greygate.plants.recording import Recording
 from greygate.progress import cut
 
 WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
@@ -107,7 +108,6 @@ class Fit:
     errors: (target - prediction) / sigma, (samples, channels). weight: of each number's square in the cost (k,).
     cost: sum of squares of the tempered errors, of the shifts and of the numbers, each by its prior.
     temper: what the errors of each channel were divided by (channels,). way: of differences that lead on from here.
-    leading: how the residual moved where it was linearised last.
     """
 
     likelihood: "Likelihood"
@@ -121,7 +121,6 @@ class Fit:
     converged: bool
     temper: np.ndarray
     way: float = STEP
-    leading: Moves | None = None
 
     @property
     def room(self) -> np.ndarray:
@@ -573,7 +572,7 @@ class Likelihood:
         enough: float = ENOUGH,
         slack: float = 0.0,
         both: bool = False,
-        leading: Moves | None = None,
+        leading: "Leading | None" = None,
     ) -> Fit:
         """The best fit near `values` (of unknowns, and of other parameters, which stay) and `shifts`.
 
@@ -585,8 +584,23 @@ class Likelihood:
         """
         descent = Descent(self, unknowns, values or {}, self.nothing() if shifts is None else shifts.copy())
         descent.both = both
-        descent.keep(leading)
-        return descent.ended(iterations, tempered=tempered, rival=rival, enough=enough, slack=slack)
+        descent.keep(leading.moves if leading else None)
+        fit = descent.ended(iterations, tempered=tempered, rival=rival, enough=enough, slack=slack)
+        if leading and descent.dear and fit.cost < leading.cost:
+            leading.moves, leading.cost = descent.last, fit.cost
+        return fit
+
+
+@dataclass
+class Leading:
+    """How the residual moved where the best fit to a recording, of that cost, was linearised last: the next begins so.
+
+    None, where no fit is dear.
+    """
+
+    recording: Recording
+    moves: Moves | None = None
+    cost: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -623,7 +637,7 @@ class Descent:
 
     moves: Moves | None = None  # by which it is linearised; None: they are to be taken anew,
     kept: Moves | None = None  # but for these
-    leading: Moves | None = None  # the last of them
+    last: Moves | None = None  # that were taken
     partial = misled = False  # whether some of it was kept; whether such a step led up
     sharp = dull = False  # whether slopes are to be those of the run itself; whether they were of longer steps
     both = False  # sides, to which slopes are taken
@@ -650,7 +664,7 @@ class Descent:
         at = self.at
         return Fit(
             self.likelihood, self.unknowns, self.fixed, at.numbers, at.shifts, at.errors, self.weight, at.cost,
-            converged, self.temper, self.way, self.leading,
+            converged, self.temper, self.way,
         )  # fmt: skip
 
     def point(self, numbers: np.ndarray, shifts: np.ndarray) -> _Point:
@@ -712,21 +726,26 @@ class Descent:
                 self.passed()
         return False
 
-    def keep(self, leading: Moves | None) -> None:
-        """What of `leading` is not taken anew: all but how numbers without a prior move, which are those of effects.
+    @property
+    def dear(self) -> bool:
+        """Whether some moves are kept: where all take many runs, and windows begin anew.
 
-        In the windows of a rig a plant moves with its own numbers much alike, wherever they are; a free run does not.
-        Where slopes are cheap, all are taken anew: then fits converge in fewer steps.
+        There a plant moves with its own numbers much alike, wherever they are; in free run it does not.
         """
+        runs = len(self.unknowns) + self.at.shifts.shape[1]
+        return bool(self.likelihood.model.rig.window) and runs > DEAR
+
+    def keep(self, moves: Moves | None) -> None:
+        """What of `moves` is not taken anew: all but those with numbers without a prior, which are of effects."""
         known = {u.symbol for u in self.unknowns if np.isfinite(u.prior)}
         self.kept = None
-        if leading and self.likelihood.model.rig.window and len(self.unknowns) + leading[0].shape[2] > DEAR:
-            self.kept = leading[0], {s: moved for s, moved in leading[1].items() if s in known}
+        if moves and self.dear:
+            self.kept = moves[0], {s: moved for s, moved in moves[1].items() if s in known}
 
     def passed(self) -> None:
         """What was linearised serves no more: it is taken anew, first of effects' numbers alone, then of all."""
         effects = any(np.isinf(u.prior) for u in self.unknowns)
-        self.keep(self.leading if effects and not (self.partial or self.misled) else None)
+        self.keep(self.last if effects and not (self.partial or self.misled) else None)
         self.moves = None
 
     def anew(self, final: bool) -> bool:
@@ -778,8 +797,8 @@ class Descent:
         new = [u for u in self.unknowns if u.symbol not in had]
         columns = rough.by_numbers(new, *given, FINE * self.both, self.fine, self.way)
         found = {**had, **{u.symbol: columns[:, :, j] for j, u in enumerate(new)}}
-        self.leading = by_shifts, found
-        return self.leading
+        self.last = by_shifts, found
+        return self.last
 
     def sharpened(self) -> bool:
         """Whether slopes become those of the run itself, which they were not: where more than noise is left, it counts.

@@ -48,7 +48,7 @@ def ruled_out(search: Search, fit: Fit, not_shown: Mapping[str, str]) -> list[di
 
 def _bound(search: Search, fit: Fit, effect: Effect) -> dict[str, dict]:
     """Name -> the least size that is ruled out; empty where none is."""
-    found = list(search.directions(fit.likelihood, fit, effect))
+    found = list(search.directions(fit, effect))
     found = found[:: max(-(-len(found) // SHAPES), 1)]
     most: dict[str, float] = {}
     units = {f.symbol: f.unit or fit.likelihood.model.plant.parameters[f.symbol].unit for f in effect.free}

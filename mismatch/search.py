@@ -15,7 +15,7 @@ import numpy as np
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.cores import each
 from greygate.mismatch.effects import Effect, Free, fitting
-from greygate.mismatch.fit import STEP, Fit, Likelihood, Moves, Unknown, tame
+from greygate.mismatch.fit import STEP, Fit, Leading, Likelihood, Unknown, tame
 from greygate.mismatch.linearised import Normal, index, nothing, pair_gains, released_gains, saving, solve
 from greygate.mismatch.model import BEGINS, BLUR, EARLY, MOST_EARLY, TIMING, TINY, Model
 from greygate.mismatch.noise import Noise
@@ -133,7 +133,7 @@ class Search:
         self.checked = False  # whether its columns are what rig.toml says (`misread`)
         self.unseen = False  # whether the held-out recording decides nothing
         self.between = False  # whether inputs moved between the samples
-        self.leading: dict[tuple, tuple[Recording, float, Moves]] = {}  # the best fit over a recording in windows
+        self.leading: dict[tuple, Leading] = {}  # of a recording in windows
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
         if noise is not None:
             self.under(noise)
@@ -314,14 +314,14 @@ class Search:
             )
         )
 
-    def scores(self, likelihood: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
+    def scores(self, fit: Fit, given: Hypothesis) -> list[Score]:
         """What every candidate promises to save, by a fit linearised at `fit`; best first."""
         candidates = [c for c in self.candidates(given) if not self.skips(given.plus(c))]
         plain = saving(fit) if candidates else 0.0
 
         def best(candidate: Hypothesis) -> list[Score] | None:
             with cut():
-                found = sorted(self._promises(likelihood, fit, candidate, plain), key=lambda s: -s.gain)
+                found = sorted(self._promises(fit, candidate, plain), key=lambda s: -s.gain)
                 more = [s.values for s in found[1:SHAPES] if s.gain > 0] if self._stays(candidate) else ()
                 return [replace(s, others=tuple(more)) for s in found[:1]]
             return None  # for want of time
@@ -338,14 +338,14 @@ class Search:
         free = (f for key in candidate.effects for f in self.effects[key].free)
         return any(f.shape and f.whole and len(f.guess) > 1 for f in free)
 
-    def pairs(self, likelihood: Likelihood, fit: Fit, count: int) -> list[Score]:
+    def pairs(self, fit: Fit, count: int) -> list[Score]:
         """The `count` pairs that together promise most at `fit`, where each alone may promise little.
 
         A pair is of two effects, or of an effect and a parameter whose tolerance is lifted: `count` of each kind.
         """
         effects, blocks = [e for e in self.effects.values() if self.joined(Hypothesis(), e)], []
         with cut():
-            blocks = [(effect, *found) for effect in effects for found in self.directions(likelihood, fit, effect)]
+            blocks = [(effect, *found) for effect in effects for found in self.directions(fit, effect)]
         if not blocks:
             return []
         normal = Normal.of(fit, np.concatenate([b[-1] for b in blocks], axis=2))
@@ -379,14 +379,14 @@ class Search:
 
         return most(two) + most(beside)
 
-    def _promises(self, likelihood: Likelihood, fit: Fit, candidate: Hypothesis, plain: float) -> Iterable[Score]:
+    def _promises(self, fit: Fit, candidate: Hypothesis, plain: float) -> Iterable[Score]:
         """Of a candidate in each of its shapes. plain: the cost that the unknowns save without it."""
         if candidate.released:
             values, gain = self._within(fit, [], candidate.released[0])
             yield Score(candidate, gain - plain, values)
             return
         effect = self.effects[candidate.effects[0]]
-        for found in self.directions(likelihood, fit, effect):
+        for found in self.directions(fit, effect):
             values, gain = self._within(fit, [(effect, *found)])
             yield Score(candidate, gain - plain, values)
 
@@ -422,14 +422,15 @@ class Search:
             values |= {**shape, **{s: float(np.clip(v, *limits[s])) for s, v in found.items()}}
         return values, gain + prior
 
-    def directions(self, likelihood: Likelihood, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
+    def directions(self, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
         """(shape, point, columns) for every shape on the effect's grid: how the effect moves the errors there.
 
         columns: (windows, rows, n), from which the windows' shifts are eliminated. They are slopes, one for each
         strength, where `point` is empty; else one secant from no effect to the sizes `point`.
         """
+        likelihood, (rough, gives, base) = fit.likelihood, fit.rough
         add = None if self.points(effect) != [{}] else likelihood.model.added(effect, fit.values)
-        answer = fit.rough[0].model.answering(effect, fit.values, fit.shifts * likelihood.local_scale)
+        answer = rough.model.answering(effect, fit.values, fit.shifts * likelihood.local_scale)
 
         def answered(adds: Callable[[Mapping[str, float]], np.ndarray], size: Mapping[str, float]) -> np.ndarray:
             return likelihood.rows(tame(-likelihood.white(adds(size))), fit.temper)
@@ -444,7 +445,6 @@ class Search:
                     made = [answered(answer, {**null, f.symbol: STEP * f.typical}) / STEP for f in effect.strengths]
                     columns = np.stack(made, axis=2)
                 elif point:
-                    _, gives, base = fit.rough
                     moved = gives({**values, **point}, fit.shifts)
                     columns = likelihood.rows(tame(moved - base), fit.temper)[:, :, None]
                 elif add is not None:
@@ -541,13 +541,10 @@ class Search:
         if likelihood is self.screen and likelihood is not self.final:
             options = {"enough": ROUGH, "slack": SLACK, **options}
         options = {"slack": LAST_SLACK, **options}
-        unknowns, model = self.unknowns(hypothesis), likelihood.model
-        over = id(model.recording), model.window
-        _, least, leading = self.leading.get(over, (None, np.inf, None))
-        fit = likelihood.fit(unknowns, start, shifts, leading=leading, **options)
-        if fit.leading and fit.cost < least:
-            self.leading[over] = model.recording, fit.cost, fit.leading
-        return fit
+        model = likelihood.model
+        over = id(model.recording), model.window, *model.locals
+        leading = self.leading.setdefault(over, Leading(model.recording))
+        return likelihood.fit(self.unknowns(hypothesis), start, shifts, leading=leading, **options)
 
 
 def _off(model: Model, longer: Model) -> float:

@@ -179,7 +179,7 @@ class Selection:
     def promises(self, found: Found) -> bool:
         """Whether a further effect or parameter promises a gain that is evidence."""
         fit = self.search.in_part(found.fit)
-        return promised(self.search.scores(fit.likelihood, fit, found.best), fit) > 1.0
+        return promised(self.search.scores(fit, found.best), fit) > 1.0
 
     def outdone(self, best: Hypothesis, explained: float, share: float, named: Fit, closed: Fit | None) -> bool:
         """Whether a term that takes such a `share` does as well as what is named, or nearly as several names do.
@@ -249,7 +249,7 @@ class Selection:
         """What every candidate beside `given` promises at `fit`; once, where it is asked again."""
         at, beside, scores = self._scored
         if at is not fit or beside != given:
-            scores = self.search.scores(self.likelihood, fit, given)
+            scores = self.search.scores(fit, given)
             self._scored = fit, given, scores
         return scores
 
@@ -290,7 +290,7 @@ class Selection:
         if not np.isfinite(without.cost):
             return []
         mine = {self.search.effects[key].id for key in best.effects}
-        ranked = alternatives(self.search, self.search.scores(self.likelihood, without, less))
+        ranked = alternatives(self.search, self.search.scores(without, less))
         near = without.cost - current.cost - APART * inflation(current)
         own = [s.gain for forms in ranked for s in forms if name in (*s.hypothesis.effects, *s.hypothesis.released)]
         least = min([near, *(PROMISING * gain for gain in own)])  # a straight line promises too little, of `name` too
@@ -378,7 +378,7 @@ class Selection:
 
         They are of two effects, or of an effect and a parameter that is outside its tolerance.
         """
-        for score in self.search.pairs(self.likelihood, start, LATER):
+        for score in self.search.pairs(start, LATER):
             if score.hypothesis in self.costs or self.search.skips(score.hypothesis):
                 continue
             values = {**start.values, **score.values}

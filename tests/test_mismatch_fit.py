@@ -628,7 +628,7 @@ def test_scores_leave_the_fit_as_it_is(folder):
     search = Search(given, given.recording(folder / "identify.csv"), {"spring": SPRING})
     fit = search.fit(search.final, Hypothesis(), {})
     room = fit.room.copy()
-    first, again = (search.scores(search.final, fit, Hypothesis()) for _ in range(2))
+    first, again = (search.scores(fit, Hypothesis()) for _ in range(2))
     assert any(score.hypothesis.released for score in first)
     assert first == again
     np.testing.assert_array_equal(fit.room, room)
@@ -675,6 +675,8 @@ def test_a_fit_in_windows_begins_with_what_led_the_best_before(folder, monkeypat
     first, all_ = fitted()
     again, kept = fitted()
     assert (kept < all_) is fewer
+    (leading,) = search.leading.values()
+    assert (leading.moves is not None) is fewer
     assert again.cost == pytest.approx(first.cost, abs=0.1)
 
 
@@ -683,10 +685,10 @@ def test_what_is_kept_and_leads_astray_is_taken_anew(folder, monkeypatch, wrong)
     """None promises a gain, or each step leads up."""
     search = searched(folder, monkeypatch)
     right = search.fit(search.final, Hypothesis(("spring",)), {})
-    shifts, numbers = right.leading
-    leading = wrong * shifts, {symbol: wrong * moved for symbol, moved in numbers.items()}
+    ((shifts, numbers),) = (leading.moves for leading in search.leading.values())
+    astray = wrong * shifts, {symbol: wrong * moved for symbol, moved in numbers.items()}
     descent = Descent(search.final, search.unknowns(Hypothesis(("spring",))), {}, search.final.nothing())
-    descent.keep(leading)
+    descent.keep(astray)
     assert descent.ended(ITERATIONS).cost == pytest.approx(right.cost, abs=0.1)
     assert descent.misled is (wrong < 0)
 
@@ -712,5 +714,5 @@ def test_an_effects_numbers_are_taken_anew_before_those_of_the_plant(folder, mon
     descent.linearised()
     assert len(asked[-1]) == len(descent.unknowns)
     monkeypatch.setattr("greygate.mismatch.fit.DEAR", len(descent.unknowns) + len(search.final.model.locals))
-    descent.keep(descent.leading)
+    descent.keep(descent.last)
     assert descent.kept is None  # all of that is cheap

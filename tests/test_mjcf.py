@@ -645,7 +645,7 @@ def test_what_effects_do_to_an_arm_is_told_by_a_linear_step_a_sample(adding, mon
         return {
             (key, i): column
             for key, effect in adding.effects.items()
-            for i, (*_, column) in enumerate(adding.directions(adding.screen, fit, effect))
+            for i, (*_, column) in enumerate(adding.directions(fit, effect))
         }
 
     told, few = columns(), len(runs)

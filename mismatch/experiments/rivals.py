@@ -78,7 +78,7 @@ def promised(search: Search, calibrated: Fit, best: Hypothesis, rival: Hypothesi
     own = Hypothesis(tuple(k for k in rival.effects if k not in best.effects), rival.released)
     narrow = copy.copy(search)
     narrow.effects = {key: search.effects[key] for key in own.effects}
-    scores = narrow.scores(calibrated.likelihood, calibrated, Hypothesis())
+    scores = narrow.scores(calibrated, Hypothesis())
     return dict(next((s.values for s in scores if s.hypothesis == own), {}))
 
 
