@@ -235,10 +235,10 @@ def test_a_fit_that_keeps_little_of_what_was_promised_is_begun_at_every_size_tha
 
 def test_scores_are_taken_once_for_a_fit_and_what_is_beside_it(chosen):
     asked = []
-    chosen.likelihood, chosen.search.scores = "short", lambda *given: [asked.append(given)]
+    chosen.search.scores = lambda *given: [asked.append(given)]
     for given in (NOTHING, NOTHING, SLIP, SLIP):
         chosen.scored(chosen.plain, given)
-    assert asked == [("short", chosen.plain, NOTHING), ("short", chosen.plain, SLIP)]
+    assert asked == [(chosen.plain, NOTHING), (chosen.plain, SLIP)]
 
 
 @pytest.mark.parametrize(

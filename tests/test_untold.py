@@ -170,7 +170,7 @@ def test_a_run_is_fitted_once_from_one_start_and_stays_where_time_is_over(monkey
 def test_scores_are_taken_once_for_one_fit_and_one_hypothesis(monkeypatch):
     asked = []
     selection = object.__new__(ColouredSelection)
-    selection.search = SimpleNamespace(scores=lambda likelihood, fit, given: asked.append(given) or [], effects={})
+    selection.search = SimpleNamespace(scores=lambda fit, given: asked.append(given) or [], effects={})
     selection._promising = {}
     noise = SimpleNamespace(errors=lambda *given: None)
     monkeypatch.setattr(coloured_selection, "_white", lambda fit: noise)
