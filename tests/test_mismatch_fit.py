@@ -716,3 +716,14 @@ def test_an_effects_numbers_are_taken_anew_before_those_of_the_plant(folder, mon
     monkeypatch.setattr("greygate.mismatch.fit.DEAR", len(descent.unknowns) + len(search.final.model.locals))
     descent.keep(descent.last)
     assert descent.kept is None  # all of that is cheap
+
+
+def test_what_leads_is_of_the_best_fit_where_windows_begin_alike(folder, monkeypatch):
+    search = searched(folder, monkeypatch)
+    search.fit(search.final, Hypothesis(("spring",)), {})
+    (best,) = search.leading.values()
+    moves, cost = best.moves, best.cost
+    search.fit(search.final, Hypothesis(()), {})
+    assert best.moves is moves and best.cost == cost  # nothing explains less than the spring
+    search.fit(Likelihood(search.final.model.as_recorded()), Hypothesis(("spring",)), {})
+    assert len(search.leading) == 2
