@@ -377,7 +377,7 @@ class Model:
         for channel in self.measured:
             scope[channel] = self._read_at(channel, values, at)
         for rate, channel in self.rates.items():
-            scope[rate] = self.smooth_rate(channel)[at]
+            scope[rate] = self._rate_of_state(channel, values)[at]
         for key, s in self.begins.items():
             found = self.first[s] if s in self.first else self._read_at(s, values, at)
             scope[s] = found + values.get(key, 0.0)
@@ -398,14 +398,24 @@ class Model:
         """Velocity of a recorded channel (samples,), in its unit a second, as a restart takes it."""
         return self._smoothed(channel, 1)
 
+    def _rate_of_state(self, channel: str, values: Mapping[str, float]) -> np.ndarray:
+        """Velocity of the state that a channel shows (samples,): what its sensor adds may move, too."""
+        if not (self._acting(SENSOR + channel, values) or any(self._shown(channel, values))):
+            return self.smooth_rate(channel)
+        state = self._read_at(channel, values, np.arange(self.recording.samples))
+        return self._smooth_of(channel, state, 1)
+
     def _smoothed(self, channel: str, derivative: int) -> np.ndarray:
         """A recorded channel (samples,), smoothed as at a restart, or its derivative."""
         key = channel, derivative
         if key not in self._smooth_channels:
-            half, signal = reach(self.recording[channel], SMOOTH_START), self.recording[channel]
-            smooth = savgol_filter(signal, 2 * half + 1, PARABOLA, deriv=derivative, delta=self.rig.dt)
-            self._smooth_channels[key] = smooth
+            self._smooth_channels[key] = self._smooth_of(channel, self.recording[channel], derivative)
         return self._smooth_channels[key]
+
+    def _smooth_of(self, channel: str, signal: np.ndarray, derivative: int) -> np.ndarray:
+        """A signal (samples,), smoothed as far as a channel is, or its derivative."""
+        half = reach(self.recording[channel], SMOOTH_START)
+        return savgol_filter(signal, 2 * half + 1, PARABOLA, deriv=derivative, delta=self.rig.dt)
 
     def pace(self, rate: str) -> float:
         """RMS of a rate as a restart takes it, in its unit; where it rests, its sensor's noise a sample."""
