@@ -50,6 +50,10 @@ SPRING = Effect(
     "spring", "a spring", ("slide",), ("motion",), ("x",), (Free("stiffness", 50.0, "N/m", reported="stiffness"),),
     terms={"motion.spring": "-stiffness * x"},
 )  # fmt: skip
+YIELDING = Effect(
+    "yielding", "the sensor's side of a gear yields", ("slide",), ("x",), ("x",),
+    (Free("yielding", 1e-4, "m/N", reported="yielding"),), terms={"sensor_x.yielding": "yielding * force"},
+)  # fmt: skip
 TRUE = {"mass": 20.7, "viscous": 285.0, "stiffness": 120.0}
 NOISE = 1e-5
 
@@ -78,6 +82,21 @@ def likelihood(folder, window: float | None, seed: int = 0) -> Likelihood:
     (folder / "rig.toml").write_text(RIG if window is None else RIG.replace("predict", f"window_s = {window}\npredict"))
     loaded = rig.load(folder)
     return Likelihood(Model(loaded, loaded.recording(folder / "identify.csv"), {"spring": SPRING}))
+
+
+def test_a_window_begins_as_fast_as_the_state_moves_and_not_its_reading(tmp_path):
+    time = np.arange(300) * 0.01
+    force = 80 * (np.sin(4 * time) + np.sin(9 * time))
+    (tmp_path / "slide.toml").write_text(PLANT)
+    run = simulate(Plant.read(tmp_path / "slide.toml"), {"force": force}, sample_time=0.01, step=5e-3)
+    (tmp_path / "rig.toml").write_text(RIG.replace("predict", "window_s = 0.2\npredict"))
+    shown = run["x"] + 1e-3 * force
+    table = np.column_stack([time, force, shown])
+    np.savetxt(tmp_path / "identify.csv", table, delimiter=",", header="t,force,x", comments="", fmt="%.10g")
+    loaded = rig.load(tmp_path)
+    model = Model(loaded, loaded.recording(tmp_path / "identify.csv"), {"yielding": YIELDING})
+    off = model.predict({**model.values, "yielding": 1e-3}) - shown[:, None]
+    assert np.sqrt(np.mean(off**2)) < 0.02 * np.std(run["x"])
 
 
 def unknowns(spring: bool = True) -> list[Unknown]:
