@@ -17,7 +17,8 @@ from scipy.signal import savgol_filter
 
 from greygate.mismatch.effects import SENSOR
 from greygate.mismatch.fit import Fit
-from greygate.mismatch.model import PARABOLA, SMOOTH, TINY, Model, reach
+from greygate.mismatch.model import SMOOTH, TINY, Model, reach
+from greygate.mismatch.scales import PARABOLA
 from greygate.plants.plant import Values
 
 CELLS = 1000  # of a recording, in each of which energy and variables are averaged

@@ -23,7 +23,7 @@ from greygate.mismatch.joining import join
 from greygate.mismatch.responses import Responses, forced, pushes
 from greygate.mismatch.rig import IN, LINEAR, Rig
 from greygate.mismatch.runs import pieces
-from greygate.mismatch.scales import memory, noise, span
+from greygate.mismatch.scales import CUBIC, FEWEST_BESIDE, PARABOLA, PART, memory, noise, smoothing, span
 from greygate.plants.expressions import names, summands
 from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
@@ -38,13 +38,9 @@ PARTS = 10  # of a sample, at most, in each of which a filtered input is constan
 BLUR = "input_blur"  # a nuisance: at 0 an acceleration is smoothed over SMOOTH, at 1 over the shorter FINER * SMOOTH
 FINER = 0.6  # of SMOOTH
 SMOOTH = 20  # samples on either side of a sample, over which a smoothed rate is taken
-SMOOTH_START = 10  # likewise, for the velocity at a restart: it may lag a change of motion less than SMOOTH does
 SMOOTHED = (0.005, 0.5)  # of a signal's memory, between which smoothing stays: it takes noise and leaves motion
-PART = 8  # a smoothing reaches no further than such a part of a recording
-FEWEST_BESIDE = 2  # samples on either side, at least: a cubic needs four, and five leave one to smooth
 FEWEST_SMOOTHED = 2 * FEWEST_BESIDE + 1  # samples
 BEGINS = "begins_"  # before a state and the recording: a nuisance, by how much its free run begins off the reading
-PARABOLA, CUBIC = 2, 3  # degrees of the polynomials whose derivatives are smoothed rates
 READINGS = 3  # rounds in which a sensor's error, a small function of the true value, is taken off its reading
 TINY = 1e-300  # instead of a size that is 0, by which something is divided
 FEWEST_FIRST = 6  # samples, at least, whose parabola gives the velocity at the first
@@ -209,6 +205,7 @@ class Model:
         self.locals = [*self.measured, *self.rates]
         self.reset = np.array([s in self.locals for s in states])
         self._smooth_channels: dict[tuple[str, int], np.ndarray] = {}
+        self._smoothing: dict[str, tuple[int, int]] = {}
         sources = {how.partition(" ")[2] for how in self.plant.derived.values()}
         if recording.samples < FEWEST_SMOOTHED and (sources or self.rates):
             few = f"{recording.samples} samples; a rate is smoothed over {FEWEST_SMOOTHED}"
@@ -414,8 +411,10 @@ class Model:
 
     def _smooth_of(self, channel: str, signal: np.ndarray, derivative: int) -> np.ndarray:
         """A signal (samples,), smoothed as far as a channel is, or its derivative."""
-        half = reach(self.recording[channel], SMOOTH_START)
-        return savgol_filter(signal, 2 * half + 1, PARABOLA, deriv=derivative, delta=self.rig.dt)
+        if channel not in self._smoothing:
+            self._smoothing[channel] = smoothing(self.recording[channel])
+        half, degree = self._smoothing[channel]
+        return savgol_filter(signal, 2 * half + 1, degree, deriv=derivative, delta=self.rig.dt)
 
     def pace(self, rate: str) -> float:
         """RMS of a rate as a restart takes it, in its unit; where it rests, its sensor's noise a sample."""

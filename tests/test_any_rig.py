@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import lfilter, savgol_filter
 
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.concealed.conceal import conceal
@@ -10,7 +10,7 @@ from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.fit import _solved, tame
 from greygate.mismatch.locate import Energy, Region, locate
 from greygate.mismatch.model import SMOOTH, delayed, lagged, reach
-from greygate.mismatch.scales import memory, noise, span
+from greygate.mismatch.scales import memory, noise, smoothing, span
 
 DECAY = """
 step = 0.5
@@ -155,3 +155,30 @@ def test_a_pendulum_that_goes_over_the_top_is_led_along_its_recording(tmp_path):
     found = diagnose(rig).as_dict()
     assert found["verdict"] == "consistent"
     assert found["fit"]["identify"]["theta"]["simulation"] > 1.0 > 0.01 > found["fit"]["identify"]["theta"]["corrected"]
+
+
+@pytest.mark.parametrize("samples", [800, 8000])
+@pytest.mark.parametrize("spoilt", ["", "noise", "much noise", "steps", "coarse steps"])
+def test_a_rate_is_smoothed_as_far_as_it_gains(samples, spoilt):
+    """Nearly as well as the best of all lengths, whatever the sensor and however fine the samples."""
+    time = np.linspace(0.0, 10.0, samples)
+    rate = 1.1 * np.cos(1.1 * time) + 0.9 * np.cos(6.0 * time)
+    signal = np.sin(1.1 * time) + 0.15 * np.sin(6.0 * time)
+    size = {"": 0.0, "noise": 3e-4, "much noise": 1e-2, "steps": 3e-3, "coarse steps": 3e-2}[spoilt]
+    if "steps" in spoilt:
+        signal = size * np.round(signal / size)
+    else:
+        signal = signal + size * np.random.default_rng(1).standard_normal(samples)
+
+    def off(half: int, degree: int) -> float:
+        slopes = savgol_filter(signal, 2 * half + 1, degree, deriv=1, delta=time[1])
+        return float(np.sqrt(np.mean((slopes - rate) ** 2)))
+
+    halves = np.unique(np.geomspace(2, samples // 8, 25).astype(int))
+    best = min(off(half, degree) for half in halves for degree in (2, 3))
+    assert off(*smoothing(signal)) < max(1.6 * best, 2e-3)
+    assert off(*smoothing(signal)) <= 1.02 * off(10, 2)
+
+
+def test_what_is_too_short_to_tell_is_hardly_smoothed():
+    assert smoothing(np.arange(12.0) ** 2) == (2, 2)

@@ -706,7 +706,8 @@ def test_what_is_kept_and_leads_astray_is_taken_anew(folder, monkeypatch, wrong)
     right = search.fit(search.final, Hypothesis(("spring",)), {})
     ((shifts, numbers),) = (leading.moves for leading in search.leading.values())
     astray = wrong * shifts, {symbol: wrong * moved for symbol, moved in numbers.items()}
-    descent = Descent(search.final, search.unknowns(Hypothesis(("spring",))), {}, search.final.nothing())
+    start = {**right.values, "mass": 0.9 * right.values["mass"]}
+    descent = Descent(search.final, search.unknowns(Hypothesis(("spring",))), start, search.final.nothing())
     descent.keep(astray)
     assert descent.ended(ITERATIONS).cost == pytest.approx(right.cost, abs=0.1)
     assert descent.misled is (wrong < 0)
