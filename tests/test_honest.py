@@ -123,6 +123,26 @@ def test_what_is_claimed_is_fitted_beside_the_parameters_as_they_are(slipping):
     assert Judge(right.likelihood).no_better(plain, alone) == ""
 
 
+@pytest.mark.parametrize(("sheet", "astray"), [(True, True), (True, False), (False, True)])
+def test_parameters_that_were_left_as_on_the_sheet_stay_so_beside_a_claim(slipping, monkeypatch, sheet, astray):
+    """Unless the run on unseen blocks errs less with others."""
+    search, plain, best, right = slipping
+    monkeypatch.setattr(finding, "_written", lambda state, claims: replace(state, claims=claims))
+    own = max((u for u in right.unknowns if np.isfinite(u.prior)), key=lambda u: abs(right.values[u.symbol] - u.origin))
+    likelihood, off = right.likelihood, {own.symbol: own.value(3.0 * own.prior)} if astray else {}
+    calibrated = likelihood.fit(plain.unknowns, iterations=0) if sheet else plain
+    fit = likelihood.fit(right.unknowns, {**right.values, **off}, iterations=0)
+    monkeypatch.setattr(Judge, "total", lambda self, fit: float(np.sum(self.errors(fit.values) ** 2)))
+    claims = Claims(best, fit, calibrated)
+    state = finding.State(search, None, print, finding.Found(best, fit, calibrated, None), claims)
+    worn = finding._spared(state).claims.fit
+    assert (worn is not fit) is (sheet and astray)
+    if worn is not fit:
+        assert worn.unknowns == fit.unknowns
+        assert all(worn.values[u.symbol] == u.origin for u in plain.unknowns)
+        assert worn.values["speed_slip"] == pytest.approx(right.values["speed_slip"], rel=0.1)
+
+
 def test_a_name_takes_no_more_than_all(slipping):
     """A run without it may err more than the calibrated one."""
     _, plain, _, right = slipping
