@@ -100,8 +100,8 @@ class Prediction:
         self._theta, self._forced = objective.theta.copy(), objective.forced
         planned = objective.slices()[f"{drive}.{PLAN}"]
         self._columns = slice(int(planned[0]), int(planned[-1]) + 1)
-        spans = np.broadcast_to([self._columns.start, self._columns.stop], (len(tables.rows), 2))
-        self._tables = tables._replace(spans=np.ascontiguousarray(spans))  # of all derivatives those by the plan
+        spans = np.tile([self._columns.start, self._columns.stop], (len(tables.rows), 1))
+        self._tables = tables._replace(spans=spans)  # of all derivatives those by the plan
         self._shown = tables.rows[tables.shown]
         self._now = np.zeros((tables.depth + self.steps, len(self._forced)))
         self._jacobian = np.zeros((self.steps, len(tables.shown), len(self._theta)))

@@ -241,10 +241,10 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
 
 
 def _in_time(step: Callable[[State], State], state: State) -> State:
-    """The state after a step; that before it, where there is no time for the step."""
+    """The state after a step; that before it, where there is no time for the step; a gate may take more."""
     search = state.search
     try:
-        if not search.left_out(AFTER):
+        if step in (_spared, _held_out) or not search.left_out(AFTER):
             with search.budget.held(GRACE):
                 return step(state)
     except OutOfTime:

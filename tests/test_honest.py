@@ -30,6 +30,7 @@ from greygate.mismatch.selection import structure
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.recording import Recording
 from greygate.plants.table import read_table
+from greygate.progress import Budget
 
 # -- never worse -----------------------------------------------------------------------------------------------------
 
@@ -141,6 +142,14 @@ def test_parameters_that_were_left_as_on_the_sheet_stay_so_beside_a_claim(slippi
         assert worn.unknowns == fit.unknowns
         assert all(worn.values[u.symbol] == u.origin for u in plain.unknowns)
         assert worn.values["speed_slip"] == pytest.approx(right.values["speed_slip"], rel=0.1)
+
+
+@pytest.mark.parametrize(("name", "asked"), [("_spared", True), ("_held_out", True), ("_closed", False)])
+def test_what_gates_a_claim_is_asked_though_the_time_of_the_search_is_over(monkeypatch, name, asked):
+    search = SimpleNamespace(left_out=lambda what: True, budget=Budget(0.0))
+    monkeypatch.setattr(finding, name, lambda state: "gated")
+    state = SimpleNamespace(search=search)
+    assert finding._in_time(getattr(finding, name), state) == ("gated" if asked else state)
 
 
 def test_a_name_takes_no_more_than_all(slipping):
