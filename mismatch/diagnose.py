@@ -500,11 +500,14 @@ def _spared(state: State) -> State:
 def _lasting(state: State) -> State:
     """Consistent is only what holds on blocks that were not learnt from, too.
 
-    A free run that the data sheet's values lead elsewhere tells nothing of that: there a trifle does so, too.
+    The data sheet's values have learnt from none. A free run that they lead elsewhere tells nothing of that: there a
+    trifle does so, too.
     """
     fit = state.found.fit
     likelihood = fit.likelihood
-    if state.verdict != Verdict.CONSISTENT or state.search.lost(likelihood.fit(fit.unknowns, iterations=0)):
+    if state.verdict != Verdict.CONSISTENT or not np.any(fit.numbers):
+        return state
+    if state.search.lost(likelihood.fit(fit.unknowns, iterations=0)):
         return state
     over = next((why for halves in (False, True) if (why := Judge(likelihood, halves).overfitted(state.found.fit))), "")
     return replace(state, verdict=Verdict.UNEXPLAINED, left=over) if over else state

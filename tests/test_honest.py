@@ -245,6 +245,16 @@ def test_what_holds_only_where_it_was_learnt_is_not_consistent(steady, monkeypat
     assert ("1.8 times the error of x_load where not learnt from" in why) is said
 
 
+@pytest.mark.parametrize("sheet", [True, False])
+def test_the_data_sheet_has_learnt_from_no_block(steady, monkeypatch, sheet):
+    search, plain = steady
+    monkeypatch.setattr(Judge, "overfitted", lambda *given: "the parameters explain this recording, not the next")
+    fit = plain.likelihood.fit(plain.unknowns, iterations=0) if sheet else plain
+    found, claims = finding.Found(Hypothesis(), fit, fit, None), Claims(Hypothesis(), fit, fit)
+    state = finding._lasting(finding.State(search, None, print, found, claims))
+    assert state.verdict == (Verdict.CONSISTENT if sheet else Verdict.UNEXPLAINED)
+
+
 @pytest.mark.parametrize(("samples", "worse"), [(1, False), (2, True), (8, True), (40, True)])
 def test_a_block_of_few_samples_is_judged_by_those_it_has(samples, worse):
     before = np.full(samples, 0.1)
