@@ -581,16 +581,33 @@ def _held_out(state: State) -> State:
 
     if not (no := why(fit)):
         return state
+    taken = f"{_named(search, best)} is taken back: {no}"
+    try:
+        return _otherwise(state, term, no, taken, why)
+    except OutOfTime:
+        search.left_out(AFTER)
+        with search.budget.held(math.inf):  # what makes it worse does not stay for want of time
+            return _bared(state, no) if term else _judged(_reduced(state, Hypothesis(), taken))
+
+
+def _otherwise(state: State, term: dict, no: str, taken: str, why: Callable[[Fit], str]) -> State:
+    """What is worn in place of that which makes the held-out recording worse."""
+    search, best, claims = state.search, state.found.best, state.claims
     if term:
-        claims.refused.append(f"no term is fitted: {no}")
-        again = replace(state, unknown={**state.unknown, "effect": None})
-        return replace(again, found=replace(state.found, fit=_bare(search, claims)))
+        return _bared(state, no)
     judge = Judge(claims.fit.likelihood)
-    for other in filter(None, (fitted_by_rule(search, best, fit), fitted_beside(claims))):
+    for other in filter(None, (fitted_by_rule(search, best, state.found.fit), fitted_beside(claims))):
         if not (why(other) or unborne(search, best, other) or _no_better(judge, claims.calibrated, other)):
             return _written(state, replace(claims, fit=other))
-    less = _reduced(state, Hypothesis(), f"{_named(search, best)} is taken back: {no}")
-    return _held_out(_closed(_lasting(_judged(less))))
+    return _held_out(_closed(_lasting(_judged(_reduced(state, Hypothesis(), taken)))))
+
+
+def _bared(state: State, no: str) -> State:
+    """The same without its term that has no name."""
+    claims = state.claims
+    refused = replace(claims, refused=[*claims.refused, f"no term is fitted: {no}"])
+    found = replace(state.found, fit=_bare(state.search, claims))
+    return replace(state, claims=refused, unknown={**state.unknown, "effect": None}, found=found)
 
 
 def _unlike(search: Search, best: Hypothesis, more: Callable[[], bool]) -> str:

@@ -30,7 +30,7 @@ from greygate.mismatch.selection import structure
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.recording import Recording
 from greygate.plants.table import read_table
-from greygate.progress import Budget
+from greygate.progress import Budget, OutOfTime, check
 
 # -- never worse -----------------------------------------------------------------------------------------------------
 
@@ -233,6 +233,40 @@ def test_what_is_left_of_a_claim_that_is_taken_back_must_hold_where_not_learnt_f
     kept = Claims(Hypothesis(("a",)), *(SimpleNamespace(likelihood=None) for _ in range(2)))
     state = finding.State(search, None, print, found, kept, Verdict.MISSING_PHYSICS)
     assert finding._held_out(state).verdict == Verdict.UNEXPLAINED
+
+
+@pytest.mark.parametrize("term", [{}, {"gain": 1.0}])
+def test_what_makes_the_held_out_recording_worse_does_not_stay_for_want_of_time(monkeypatch, term):
+    def late(*given):
+        raise OutOfTime
+
+    for name in ("_otherwise", "fitted_beside", "fitted_by_rule", "Judge"):
+        monkeypatch.setattr(finding, name, late)
+    monkeypatch.setattr(finding, "no_better", lambda *given: "with it x is worse")
+    monkeypatch.setattr(finding, "lasting", lambda *given: {})
+    monkeypatch.setattr(finding, "_judged", lambda s: s)
+    monkeypatch.setattr(finding, "_bare", lambda *given: "bare")
+
+    def reduced(state, less, why):
+        check()  # of a run: it has time
+        return replace(state, found=replace(state.found, best=less), left=why)
+
+    monkeypatch.setattr(finding, "_reduced", reduced)
+    untried = []
+    search = SimpleNamespace(unseen=False, effects={"a": SimpleNamespace(id="a", fault=False)}, budget=Budget(0.0))
+    search.left_out = lambda what: untried.append(what) or True
+    best = Hypothesis(() if term else ("a",))
+    found = finding.Found(best, SimpleNamespace(values={}), None, None)
+    kept = Claims(best, *(SimpleNamespace(likelihood=None) for _ in range(2)))
+    state = finding.State(search, None, print, found, kept, Verdict.MISSING_PHYSICS, unknown={"effect": term})
+    with search.budget.held(0.2):
+        less = finding._held_out(state)
+    assert untried == [finding.AFTER]
+    if term:
+        assert (less.unknown["effect"], less.found.fit) == (None, "bare")
+        assert less.claims.refused == ["no term is fitted: with it x is worse"]
+    else:
+        assert (less.found.best.size, less.left) == (0, "a is taken back: with it x is worse")
 
 
 @pytest.mark.parametrize(("times", "said"), [(1.0, False), (1.05, False), (1.8, True)])
