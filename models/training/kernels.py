@@ -41,14 +41,17 @@ def kernel(**options) -> Callable[[Callable], Callable]:
     return compiled
 
 
+called = numba.njit(nogil=True, error_model="numpy", forceinline=True)
+
+
 def _value_of(function: Callable) -> Callable:
     """A compiled function of a layer, by `function` of (scalars, n), in a loop that can be vectorized."""
     function = scalars.inlined(function)
 
-    @scalars.inlined
-    def values(kind, signals):  # pragma: no cover - compiled
-        for o in range(len(signals)):
-            signals[o] = function(scalars, signals[o])
+    @called
+    def values(kind, now, k, first, size):  # pragma: no cover - compiled
+        for o in range(first, first + size):
+            now[k, o] = function(scalars, now[k, o])
 
     return values
 
@@ -57,12 +60,12 @@ def _slope_of(function: Callable) -> Callable:
     """The same for the slopes, of (scalars, y) or (scalars, y, n)."""
     function, takes = scalars.inlined(function), len(signature(function).parameters)
 
-    @scalars.inlined
+    @called
     def of_y(kind, signals, sums, slopes):  # pragma: no cover - compiled
         for o in range(len(signals)):
             slopes[o] = function(scalars, signals[o])
 
-    @scalars.inlined
+    @called
     def of_both(kind, signals, sums, slopes):  # pragma: no cover - compiled
         for o in range(len(signals)):
             slopes[o] = function(scalars, signals[o], sums[o])
@@ -73,22 +76,22 @@ def _slope_of(function: Callable) -> Callable:
 def _values_of(a: int, b: int, c: int, one: Callable, two: Callable, three: Callable, four: Callable) -> Callable:
     """One function of four: of kinds below a, below b, below c, and of the rest."""
 
-    @scalars.inlined
-    def values(kind, signals):  # pragma: no cover - compiled
+    @called
+    def values(kind, now, k, first, size):  # pragma: no cover - compiled
         if kind < a:
-            one(kind, signals)
+            one(kind, now, k, first, size)
         elif kind < b:
-            two(kind, signals)
+            two(kind, now, k, first, size)
         elif kind < c:
-            three(kind, signals)
+            three(kind, now, k, first, size)
         else:
-            four(kind, signals)
+            four(kind, now, k, first, size)
 
     return values
 
 
 def _slopes_of(a: int, b: int, c: int, one: Callable, two: Callable, three: Callable, four: Callable) -> Callable:
-    @scalars.inlined
+    @called
     def slopes_of(kind, signals, sums, slopes):  # pragma: no cover - compiled
         if kind < a:
             one(kind, signals, sums, slopes)
@@ -114,19 +117,19 @@ def _chosen(parts: Sequence[Callable], none: Callable, of: Callable[..., Callabl
     return of(*(first + b for b in ends[1:4]), *quarters)
 
 
-@scalars.inlined
-def _no_value(kind, signals):  # pragma: no cover - compiled
+@called
+def _no_value(kind, now, k, first, size):  # pragma: no cover - compiled
     raise ValueError("no such kind of activation")
 
 
-@scalars.inlined
+@called
 def _no_slope(kind, signals, sums, slopes):  # pragma: no cover - compiled
     raise ValueError("no such kind of activation")
 
 
 _VALUES = [_no_value if k in (SELECT, PRODUCT) else _value_of(a.value) for k, a in enumerate(ACTIVATIONS.values())]
 _values = _chosen([*_VALUES, _no_value], _no_value, _values_of)
-"""Of (kind, signals of a layer): in place, pre-activations become outputs."""
+"""Of (kind, signals, step, first element and size of a layer): in place, pre-activations become outputs."""
 _slopes = _chosen([*(_slope_of(a.slope) for a in ACTIVATIONS.values()), _no_slope], _no_slope, _slopes_of)
 """Of (kind, signals, sums, slopes of a layer)."""
 
@@ -314,7 +317,7 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
                 for o in range(size):
                     now[k, first + o] *= preactivation(links, lo, hi, theta, bias, size + o, k, now, past)
             else:
-                _values(kind, now[k, first : first + size])
+                _values(kind, now, k, first, size)
             for o in range(size):
                 if not np.isfinite(now[k, first + o]):
                     return k - depth
