@@ -124,7 +124,7 @@ def _python(before: Plant, plant: Plant, added: Mapping[str, Mapping[str, str]],
         lines += [f"    {s} = x[{i}]" for i, s in enumerate(of) if s in known]
         return "\n".join([*lines, "    return [", *(f"        {parse(text).source()}," for text in found), "    ]"])
 
-    functions = [text(name) for name in FUNCTIONS if name != "when"]
+    functions = [found for name in FUNCTIONS if name != "when" and (found := text(name))]
     return HEAD.format(
         meaning=meaning, module=out.stem, model=out.name, functions="\n\n".join(functions),
         joints=mjcf.names_of(before), lines=body(sums, own),

@@ -27,8 +27,8 @@ class Outside(Protocol):
     parameters: those of the plant that it takes. own: "equation.term" that it computes itself. elements: (general
     effect, equation) -> the parameter by which the simulator says that effect itself.
     early: the share of a step by which inputs act early: half with an integrator of first order.
-    source: functions that numba compiles beside `simulator.source`: `run(x, inputs, parameters, low, high, rate, h,
-    substeps, out, at)`, whose `at` is what `lent` lends; or what `RUN` needs for that, and `RUN`.
+    source: functions that numba compiles once for all of a kind: `run(x, inputs, parameters, low, high, rate, h,
+    substeps, out, of, on, at)`, whose `at` is what `lent` lends; or what `RUN` needs for that, and `RUN`.
     steps: whether it has steps of its own; else of the plant. whole: whether it may not begin within a recording, for
     nobody records all of its states. timed: whether what it computes depends on time itself.
     coupled: velocity -> the number of the mass matrix that couples it with others of that number, if one does.
@@ -109,70 +109,60 @@ def symbols(names: Sequence[str], kind: str, taken: Collection[str] = ()) -> lis
 
 
 RUN = '''
+EFFECTS, STEPPED, FIRST, FORCED, RESISTING = range(5)  # places in `of`
 STIFF = 0.1  # of a step's change of velocity that a force resists: from there on its end is solved for
 CLOSE = 1e-3  # of that change, by which the end may be off
 ROUNDS = 30  # of halving and secants, at most
 
 
 @jit
-def some(on):
-    """Whether any is on; of no literal, for which numba would compile all that takes it once more."""
-    for block in on:
-        if block:
-            return True
-    return False
-
-
-@jit
-def summed(x, u, p, on, acting, dx):
+def summed(x, u, p, on, of, dx):
     """The rates of the states; for velocities of the simulator the force that effects add."""
-    if acting:
-        derivative(x, u, p, on, dx)
-    else:
-        bare(x, u, p, on, dx)
+    added(of[EFFECTS], x.ctypes.data, u.ctypes.data, p.ctypes.data, on.ctypes.data, dx.ctypes.data)
 
 
 @jit
-def ended(x, u, p, on, acting, h, trial, dx):
+def ended(x, u, p, on, of, h, trial, dx):
     """The forces at the velocities of `trial`, states of effects moved there along over the step."""
-    n = len(x)
-    for j in range(STEPPED, n):
+    n, stepped = len(x), of[STEPPED]
+    for j in range(stepped, n):
         trial[j] = x[j]
-    summed(trial, u, p, on, acting, dx)
-    if STEPPED < n:
-        for j in range(STEPPED, n):
+    summed(trial, u, p, on, of, dx)
+    if stepped < n:
+        for j in range(stepped, n):
             trial[j] = x[j] + h * dx[j]
-        summed(trial, u, p, on, acting, dx)
+        summed(trial, u, p, on, of, dx)
 
 
 @jit
-def resisted(at, x, u, p, on, acting, h, force, trial, moved, slope):
+def resisted(at, x, u, p, on, of, h, force, trial, moved, slope):
     """By how much each force falls with its velocity, from the beginning of a step to its end."""
-    for j in range(STEPPED):
+    first, forced = of[FIRST], of[FORCED]
+    for j in range(of[STEPPED]):
         trial[j] = x[j]
-    for i in range(FORCED):
-        trial[FIRST + i] = x[FIRST + i] + h * acceleration(at, i)
-    ended(x, u, p, on, acting, h, trial, moved)
-    for i in range(FORCED):
-        way, change = trial[FIRST + i] - x[FIRST + i], moved[FIRST + i] - force[FIRST + i]
+    for i in range(forced):
+        trial[first + i] = x[first + i] + h * acceleration(at, i)
+    ended(x, u, p, on, of, h, trial, moved)
+    for i in range(forced):
+        way, change = trial[first + i] - x[first + i], moved[first + i] - force[first + i]
         slope[i] = -change / way if change * way < 0.0 else 0.0
-    for i in range(FORCED):
+    for i in range(forced):
         if slope[i] * h * mobility(at, i) > STIFF:
-            for j in range(FORCED):
-                trial[FIRST + j] = x[FIRST + j]
-            slope[i] = solved(at, i, x, u, p, on, acting, h, force, trial, moved, slope[i])
+            for j in range(forced):
+                trial[first + j] = x[first + j]
+            slope[i] = solved(at, i, x, u, p, on, of, h, force, trial, moved, slope[i])
 
 
 @jit
-def solved(at, i, x, u, p, on, acting, h, force, trial, moved, slope):
+def solved(at, i, x, u, p, on, of, h, force, trial, moved, slope):
     """The slope from the beginning to where the velocity i ends, by Illinois's rule of false position."""
-    j, free = FIRST + i, h * acceleration(at, i)
+    j, free = of[FIRST] + i, h * acceleration(at, i)
     gain = h * mobility(at, i)
     low, below, high, above = 0.0, -free, free, gain * slope * free
     for _ in range(ROUNDS):
         way = (low * above - high * below) / (above - below)
         trial[j] = x[j] + way
-        ended(x, u, p, on, acting, h, trial, moved)
+        ended(x, u, p, on, of, h, trial, moved)
         off = way - free - gain * (moved[j] - force[j])
         if abs(off) <= CLOSE * abs(free):
             break
@@ -186,16 +176,14 @@ def solved(at, i, x, u, p, on, acting, h, force, trial, moved, slope):
 
 
 @jit
-def run(x, inputs, parameters, low, high, rate, h, substeps, out, at):
+def run(x, inputs, parameters, low, high, rate, h, substeps, out, of, on, at):
     """Fill out[sample] with the state at each sample; return the first sample that is not finite, or -1."""
-    n, count = len(x), 0
+    n, stepped, count = len(x), of[STEPPED], 0
     k, y, force, moved, trial = np.empty((6, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    slope, bounded = np.zeros(FORCED), np.empty(n, np.int64)
-    on = asked(parameters)
-    acting = some(on)
+    slope, bounded = np.zeros(of[FORCED]), np.empty(n, np.int64)
     for j in range(n):
         out[0, j] = x[j]
-        if j >= STEPPED and (low[j] > -np.inf or high[j] < np.inf):
+        if j >= stepped and (low[j] > -np.inf or high[j] < np.inf):
             bounded[count] = j
             count += 1
     bounded = bounded[:count]
@@ -203,21 +191,21 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out, at):
     for sample in range(len(inputs) - 1):
         u = inputs[sample]
         for _ in range(substeps):
-            summed(x, u, parameters, on, acting, force)
+            summed(x, u, parameters, on, of, force)
             if not accelerate(at, x, u, force):
                 return sample + 1
-            if RESISTING or acting:
-                resisted(at, x, u, parameters, on, acting, h, force, trial, moved, slope)
+            if of[RESISTING]:
+                resisted(at, x, u, parameters, on, of, h, force, trial, moved, slope)
             advance(at, x, slope)
-            for stage in range(6 if STEPPED < n else 0):
+            for stage in range(6 if stepped < n else 0):
                 for j in range(n):
                     move = 0.0
-                    for i in range(stage if j >= STEPPED else 0):
+                    for i in range(stage if j >= stepped else 0):
                         move += WEIGHTS[stage, i] * k[i, j]
                     y[j] = x[j] + h * move
-                summed(y, u, parameters, on, acting, k[stage])
+                summed(y, u, parameters, on, of, k[stage])
                 hold(y, k[stage], low, high, rate, bounded)
-            for j in range(STEPPED, n):
+            for j in range(stepped, n):
                 for i in range(6):
                     x[j] += h * WEIGHTS[6, i] * k[i, j]
                 x[j] = min(max(x[j], low[j]), high[j])
@@ -227,7 +215,8 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out, at):
                 return sample + 1
     return -1
 '''
-"""The loop of a plant that a simulator steps, beside `derivative`, `bare`, `asked` and `hold` of `simulator.source`.
+"""The loop of plants that a simulator steps. of: the address of `all_terms` of `simulator.source`, or of `few_terms`;
+how many states it steps; the first velocity among them, and how many; whether what is added may resist.
 
 It needs `begin(at, x)`, which takes the states x; `accelerate(at, x, u, force)`, which says whether all is finite; then
 `acceleration(at, i)` of velocity i; `mobility(at, i)`: about by how much a force accelerates it; `advance(at, x,

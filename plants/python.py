@@ -98,7 +98,7 @@ def begin(at, x):
 def accelerate(at, x, u, force):
     ask(at, time_of(at, u, 0.0), x, u)
     made, way, acting = at[5], at[9], at[10]
-    for j in range(STEPPED):
+    for j in range(len(made)):
         if not np.isfinite(made[j]):
             return False
         way[j], acting[j] = made[j] - x[j], force[j]
@@ -125,10 +125,10 @@ def advance(at, x, slope):
     What it adds to a velocity moves its position as what the function adds to that does.
     """
     made, h, way, acting, rate, share = at[5], at[8], at[9], at[10], at[11], at[12]
-    for j in range(STEPPED):
+    for j in range(len(made)):
         resisting = max(slope[j] - EXPLICIT / h, 0.0)
         acting[j] = h * (acting[j] - resisting * way[j]) / (1.0 + h * resisting)
-    for j in range(STEPPED):
+    for j in range(len(made)):
         x[j] = made[j] + acting[j]
         if rate[j] >= 0:
             x[j] += share[j] * h * acting[rate[j]]

@@ -20,7 +20,7 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.generated import load
 from greygate.plants.expressions import names, parse
-from greygate.plants.functions import FUNCTIONS, text
+from greygate.plants.functions import FUNCTIONS, NUMPY, text
 from greygate.plants.outside import Outside, Rated
 from greygate.plants.plant import Definition, Equation, Plant, Values
 from greygate.plants.recording import Recording
@@ -82,8 +82,9 @@ def simulate(
     states = np.empty((len(held), len(plant.states)))
     symbols, values = list(plant.states), {symbol: p.value for symbol, p in plant.parameters.items()}
     with _lent(plant, values, sample_time / substeps) as at:
-        failed = _loop(plant).run(
-            np.array([float(start[symbol]) for symbol in symbols]),
+        failed = _loop(plant).restarted(
+            np.array([[float(start[symbol]) for symbol in symbols]]),
+            *_whole(plant),
             held,
             np.array([*values.values()]),
             *_bounds(plant, plant.constant),
@@ -164,6 +165,7 @@ class Stepper:
         self._now = np.array([*plant.initial().values()])
         self._values = np.array([p.value for p in plant.parameters.values()])
         self._low, self._high = _bounds(plant, plant.constant)
+        self._whole = _whole(plant)
         self._samples = 0
 
     def __getitem__(self, state: str) -> float:
@@ -178,8 +180,8 @@ class Stepper:
         """Hold the inputs for a sample. Raises InputError where a state is no longer finite."""
         held = np.array([[float(inputs[n]) for n in self.plant.inputs]] * 2)
         out, r = np.empty((2, len(self._now))), self._restarted
-        failed = r.module.run(
-            self._now.copy(), held, self._values, self._low, self._high, r.rate, r.step, r.substeps, out
+        failed = r.module.restarted(
+            self._now[None], *self._whole, held, self._values, self._low, self._high, r.rate, r.step, r.substeps, out
         )
         self._samples += 1
         if failed >= 0:
@@ -206,6 +208,11 @@ def _bounds(plant: Plant, value: Callable[[float | str], float]) -> tuple[np.nda
     low = [-np.inf if state.low is None else value(state.low) for state in plant.states.values()]
     high = [np.inf if state.high is None else value(state.high) for state in plant.states.values()]
     return np.array(low, float), np.array(high, float)
+
+
+def _whole(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
+    """The restarts of a run that has none, and which states begin anew there."""
+    return np.array([0]), np.ones(len(plant.states), bool)
 
 
 def _rates(plant: Plant) -> np.ndarray:
@@ -242,51 +249,37 @@ def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None)
 
 
 def source(plant: Plant) -> str:
-    """Python source of `derivative` and `run` for `plant`; it depends on names and expressions.
+    """Python source of `derivative` and `restarted` for `plant`; it depends on names and expressions.
 
     Of the values it depends only on which terms are off, `when(p, ...)` with p of 0: `bare` does without these, and
-    runs while they stay off. It is written only from checked names and trees of checked expressions, because `Plant`
-    refuses others.
+    runs while they stay off; `asked` says which are on. Where a simulator from outside steps the plant, `all_terms`
+    and `few_terms` are the two for its loop. It is written only from checked names and trees of checked expressions,
+    because `Plant` refuses others.
     """
     lines = ["import numpy as np", "from numba import carray, cfunc, njit, types", ""]
     lines += ["jit = njit(cache=True, error_model='numpy', nogil=True)", ""]
     for name in FUNCTIONS:
         if name != "when":  # `when` is written out in place
-            lines += ["@jit", text(name)]
+            lines += [*(["@jit"] if name not in NUMPY else []), text(name)]
     blocks: list[str] = []
     plant = _added(plant)
     full = _derivative("derivative", plant, blocks)
     bare = _derivative("bare", _bare(plant), []) if blocks else ["bare = derivative", ""]
     asked = [f"    _on[{i}] = {condition}" for i, condition in enumerate(blocks)]
     lines += [
-        "@jit",
+        "@np.errstate(all='ignore')",
         "def asked(_p):",
         *_taken(asked, _p=plant.parameters),
         f"    _on = np.empty({len(blocks)}, np.bool_)",
     ]
     lines += [*asked, "    return _on", "", *full, *bare]
-    if plant.outside is not None and plant.outside.loop is not None:
+    if plant.outside is not None and not isinstance(plant.outside, Rated):
         sizes = {"x": len(plant.states), "u": len(plant.inputs), "p": len(plant.parameters), "on": len(blocks)}
         return "\n".join(lines) + _CALLED.format(**sizes)
-    loop, at = (_RUN.format(**_ALONE), "") if plant.outside is None else (_given(plant, plant.outside), ", at")
-    return "\n".join(lines) + BOUNDED + loop + RESTARTED.format(at=at)
-
-
-def _given(plant: Plant, of: Outside) -> str:
-    """The loop of a plant that a simulator from outside steps, or whose rates it gives."""
-    return f"\n{of.rates}{_RUN.format(**_RATED)}" if isinstance(of, Rated) else _stepped(plant, of)
-
-
-def _stepped(plant: Plant, of: Outside) -> str:
-    """The loop of a plant that a simulator from outside steps."""
-    moving = {*of.stepped[of.first : of.first + of.forced]}
-    used = names(t for e in plant.equations.values() if e.state in moving for t in e.terms.values())
-    used |= names(t for d in plant.needed(used) for t in d.terms.values())
-    lines = [
-        f"STEPPED, FIRST, FORCED = {len(of.stepped)}, {of.first}, {of.forced}",
-        f"RESISTING = {bool(used & moving)}",
-    ]
-    return "\n".join(["", *lines, of.source])
+    bounded = any(s.low is not None or s.high is not None for s in plant.states.values())
+    given, more = ("", {}) if plant.outside is None else (f"\n{plant.outside.rates}", _RATED)
+    loop = _RUN.format(**{**_ALONE, **(_HELD if bounded else {}), **more})
+    return "\n".join(lines) + (BOUNDED if bounded else STAGES) + given + loop
 
 
 def _added(plant: Plant) -> Plant:
@@ -394,7 +387,11 @@ def _rows() -> str:
     return ", ".join(f"[{', '.join(row)}]" for row in weights())
 
 
-# Loops in place of array operations, and one call of `derivative`: numba compiles that in a third of the time.
+# Loops in place of array operations, one function and one call of `derivative`: numba compiles that in half the time.
+STAGES = f"""
+
+WEIGHTS = np.array([{_rows()}])
+"""
 BOUNDED = f'''
 
 @jit
@@ -404,77 +401,96 @@ def hold(x, dx, low, high, rate, bounded):
         moved = rate[j] if rate[j] >= 0 else j
         if (x[j] <= low[j] and dx[moved] < 0.0) or (x[j] >= high[j] and dx[moved] > 0.0):
             dx[moved] = 0.0
-
-
-WEIGHTS = np.array([{_rows()}])
-'''
+{STAGES}'''
 _RUN = '''
 
 @jit
-def run(x, inputs, parameters, low, high, rate, h, substeps, out{at}):
-    """Fill out[sample] with the state at each sample; return the first sample that is not finite, or -1."""
-    n = len(x)
+def pieces(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out, on{at}):
+    """Fill out[sample] with the state at each sample; return the first sample that is not finite, or -1.
+
+    At restarts[i] the states in `reset` become starts[i]; the others go on.
+    """
+    n = starts.shape[1]
     k = np.empty((6, n))
-    y = np.empty(n)
-    bounded = np.empty(n, np.int64)
-    on = asked(parameters)
+    x, y = np.empty(n), np.empty(n)
     acting = False
     for block in on:
         acting |= block
-    count = 0
+{bounds}    for piece in range(len(restarts)):
+        first = restarts[piece]
+        last = restarts[piece + 1] if piece + 1 < len(restarts) else len(inputs) - 1
+        for j in range(n):
+            if piece == 0 or reset[j]:
+                x[j] = starts[piece, j]
+            out[first, j] = x[j]
+        for sample in range(first, last):
+            for {substep} in range(substeps):
+                for stage in range(6):
+                    for j in range(n):
+                        move = 0.0
+                        for i in range(stage):
+                            move += WEIGHTS[stage, i] * k[i, j]
+                        y[j] = x[j] + h * move
+                    if acting:
+                        derivative(y, inputs[sample], parameters, on, k[stage])
+                    else:
+                        bare(y, inputs[sample], parameters, on, k[stage])
+{rates}{held}                for j in range(n):
+                    move = 0.0
+                    for i in range(6):
+                        move += WEIGHTS[6, i] * k[i, j]
+                    x[j] += h * move
+{kept}            for j in range(n):
+                out[sample + 1, j] = x[j]
+            for j in range(n):
+                if not np.isfinite(x[j]):
+                    return sample + 1
+    return -1
+
+
+def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out, *at):
+    """`pieces` of a plant, of whose terms some are off."""
+    on = asked(parameters)
+    return pieces(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out, on, *at)
+'''
+_ALONE = {"at": "", "substep": "_", "rates": "", "bounds": "", "held": "", "kept": ""}
+_HELD = {
+    "bounds": """\
+    bounded, count = np.empty(n, np.int64), 0
     for j in range(n):
-        out[0, j] = x[j]
         if low[j] > -np.inf or high[j] < np.inf:
             bounded[count] = j
             count += 1
     bounded = bounded[:count]
-    for sample in range(len(inputs) - 1):
-        for {substep} in range(substeps):
-            for stage in range(6):
-                for j in range(n):
-                    move = 0.0
-                    for i in range(stage):
-                        move += WEIGHTS[stage, i] * k[i, j]
-                    y[j] = x[j] + h * move
-                if acting:
-                    derivative(y, inputs[sample], parameters, on, k[stage])
-                else:
-                    bare(y, inputs[sample], parameters, on, k[stage])
-{rates}                hold(y, k[stage], low, high, rate, bounded)
-            for j in range(n):
-                move = 0.0
-                for i in range(6):
-                    move += WEIGHTS[6, i] * k[i, j]
-                x[j] += h * move
-            for j in bounded:
-                if x[j] < low[j]:
-                    x[j] = low[j]
-                    if rate[j] >= 0:
-                        x[rate[j]] = max(x[rate[j]], 0.0)
-                elif x[j] > high[j]:
-                    x[j] = high[j]
-                    if rate[j] >= 0:
-                        x[rate[j]] = min(x[rate[j]], 0.0)
-        for j in range(n):
-            out[sample + 1, j] = x[j]
-        for j in range(n):
-            if not np.isfinite(x[j]):
-                return sample + 1
-    return -1
-'''
-_ALONE = {"at": "", "substep": "_", "rates": ""}
+""",
+    "held": """\
+                    hold(y, k[stage], low, high, rate, bounded)
+""",
+    "kept": """\
+                for j in bounded:
+                    if x[j] < low[j]:
+                        x[j] = low[j]
+                        if rate[j] >= 0:
+                            x[rate[j]] = max(x[rate[j]], 0.0)
+                    elif x[j] > high[j]:
+                        x[j] = high[j]
+                        if rate[j] >= 0:
+                            x[rate[j]] = min(x[rate[j]], 0.0)
+""",
+}
+"""What the loop has besides where states have bounds."""
 _RATED = {
     "at": ", at",
     "substep": "substep",
     "rates": """\
-                rates(at, y, inputs[sample], (substep + WEIGHTS[stage].sum()) * h, k[stage])
+                    rates(at, y, inputs[sample], (substep + WEIGHTS[stage].sum()) * h, k[stage])
 """,
 }
 """What the loop has besides where a simulator from outside gives rates."""
 RESTARTED = '''
 
 @jit
-def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out{at}):
+def pieces(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out{at}):
     """`run` piece by piece: at restarts[i] the states in `reset` become starts[i]; the others go on."""
     x = np.empty(starts.shape[1])
     for piece in range(len(restarts)):
@@ -490,9 +506,34 @@ def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, s
 
 
 def _loop(plant: Plant) -> Any:
-    """What runs a plant: its compiled module, or what stands for it where a simulator runs elsewhere."""
-    text = source(plant)
-    return _module(text) if plant.outside is None or plant.outside.loop is None else plant.outside.loop(text)
+    """What runs a plant: its compiled module, or what stands for it where a simulator from outside does."""
+    of, text = plant.outside, source(plant)
+    if of is None or isinstance(of, Rated):
+        return _module(text)
+    return _Stepped(plant, of, text) if of.loop is None else of.loop(text)
+
+
+class _Stepped:
+    """In place of a plant's module: the loop of a kind of simulators, which calls its terms by their address."""
+
+    def __init__(self, plant: Plant, of: Outside, text: str):
+        self.terms, self.loop = _module(text), _module(_LOOP + of.source + RESTARTED.format(at=", of, on, at"))
+        moving = {*of.stepped[of.first : of.first + of.forced]}
+        used = names(t for e in plant.equations.values() if e.state in moving for t in e.terms.values())
+        used |= names(t for d in plant.needed(used) for t in d.terms.values())
+        self.sizes, self.resisting = (len(of.stepped), of.first, of.forced), bool(used & moving)
+
+    def restarted(
+        self, starts: np.ndarray, restarts: np.ndarray, reset: np.ndarray, inputs: np.ndarray, parameters: np.ndarray,
+        low: np.ndarray, high: np.ndarray, rate: np.ndarray, h: float, substeps: int, out: np.ndarray, at: Any,
+    ) -> int:  # fmt: skip
+        on = self.terms.asked(parameters)
+        acting = bool(on.any())
+        terms = self.terms.all_terms if acting else self.terms.few_terms
+        of = (terms.address, *self.sizes, int(self.resisting or acting))
+        return self.loop.pieces(
+            starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out, of, on, at
+        )
 
 
 _CALLED = '''
@@ -512,7 +553,16 @@ def few_terms(x, u, p, on, dx):
     """`bare`, likewise."""
     bare(carray(x, {x}), carray(u, {u}), carray(p, {p}), carray(on, {on}), carray(dx, {x}))
 '''
-"""Of a plant that a simulator runs in a process of its own: what its loop there takes."""
+"""Of a plant that a simulator steps: what its loop takes, if need be in a process of its own."""
+_LOOP = f"""
+import numpy as np
+from numba import njit, types
+
+from greygate.plants.calling import call as added
+
+jit = njit(cache=True, error_model='numpy', nogil=True)
+min, max = np.minimum, np.maximum  # of what is no number they make none
+{BOUNDED}"""
 
 
 @lru_cache(maxsize=64)

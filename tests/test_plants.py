@@ -298,7 +298,7 @@ import numpy as np
 from test_plants import oscillator
 from greygate.plants.simulator import _module, simulate, source
 simulate(oscillator(), {"force": np.zeros(3)})
-run = _module(source(oscillator())).run
+run = _module(source(oscillator())).pieces
 print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()), run.py_func.__code__.co_filename)
 """
 
@@ -336,7 +336,7 @@ def test_a_damaged_source_in_the_cache_is_written_anew(tmp_path, monkeypatch):
     _module.cache_clear()
     with open(path, "w") as file:
         file.write("raise RuntimeError")
-    assert callable(_module(text).run)
+    assert callable(_module(text).restarted)
 
 
 @pytest.mark.parametrize("side", [-1, 1])

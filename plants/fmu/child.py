@@ -230,7 +230,7 @@ class Unit:
         return self.modules[text]
 
     def run(self, asked: Mapping[str, Any], a: Arrays) -> tuple[dict[str, Any], Arrays]:
-        """`restarted` of a source that was given; states (samples, states)."""
+        """`pieces` of a source that was given; states (samples, states)."""
         about, loop, added = self.about, self.compiled(asked["loop"]), self.compiled(asked["source"])
         on = added.asked(a["parameters"]).view(np.uint8)
         terms = added.all_terms if on.any() else added.few_terms
@@ -252,7 +252,7 @@ class Unit:
             self.version == 2,
         )  # fmt: skip
         out = np.full((len(a["inputs"]), starts.shape[1]), np.nan)
-        failed = loop.restarted(
+        failed = loop.pieces(
             starts, a["restarts"], a["reset"], a["inputs"], a["parameters"], a["low"], a["high"], a["rate"],
             asked["step"], asked["substeps"], out, at,
         )  # fmt: skip

@@ -109,7 +109,7 @@ HEAD = """
 import numpy as np
 from numba import njit, types
 
-from greygate.plants.fmu.calling import call
+from greygate.plants.calling import call
 
 jit = njit(cache=True, error_model='numpy', nogil=True)
 FINE = 1  # the highest status of FMI that is none of a failure: a warning

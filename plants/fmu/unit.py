@@ -168,7 +168,7 @@ def of(archive: Archive, about: Mapping[str, Any]) -> Unit:
 
 
 class Loop:
-    """In place of a plant's compiled module: `restarted` and `run` in the process of an FMU. kind: the loop's source.
+    """In place of a plant's compiled module: `restarted` in the process of an FMU. kind: the loop's source.
 
     at: (process, what `Simulated.lent` says to it).
     """
@@ -188,10 +188,3 @@ class Loop:
         }  # fmt: skip
         failed, out[:] = self.unit.run(process, said, arrays)
         return failed
-
-    def run(
-        self, x: np.ndarray, inputs: np.ndarray, parameters: np.ndarray, low: np.ndarray, high: np.ndarray,
-        rate: np.ndarray, h: float, substeps: int, out: np.ndarray, at: Any,
-    ) -> int:  # fmt: skip
-        whole = np.array([0]), np.ones(len(x), bool)
-        return self.restarted(x[None], *whole, inputs, parameters, low, high, rate, h, substeps, out, at)
