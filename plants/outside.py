@@ -109,16 +109,10 @@ def symbols(names: Sequence[str], kind: str, taken: Collection[str] = ()) -> lis
 
 
 RUN = '''
-EFFECTS, STEPPED, FIRST, FORCED, RESISTING = range(5)  # places in `of`
+STEPPED, FIRST, FORCED, RESISTING = range(1, 5)  # places in `of`
 STIFF = 0.1  # of a step's change of velocity that a force resists: from there on its end is solved for
 CLOSE = 1e-3  # of that change, by which the end may be off
 ROUNDS = 30  # of halving and secants, at most
-
-
-@jit
-def summed(x, u, p, on, of, dx):
-    """The rates of the states; for velocities of the simulator the force that effects add."""
-    added(of[EFFECTS], x.ctypes.data, u.ctypes.data, p.ctypes.data, on.ctypes.data, dx.ctypes.data)
 
 
 @jit

@@ -249,22 +249,20 @@ def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None)
 
 
 def source(plant: Plant) -> str:
-    """Python source of `derivative` and `restarted` for `plant`; it depends on names and expressions.
+    """Python source of the terms of `plant`, for the loop that runs it; it depends on names and expressions.
 
-    Of the values it depends only on which terms are off, `when(p, ...)` with p of 0: `bare` does without these, and
-    runs while they stay off; `asked` says which are on. Where a simulator from outside steps the plant, `all_terms`
-    and `few_terms` are the two for its loop. It is written only from checked names and trees of checked expressions,
-    because `Plant` refuses others.
+    Of the values it depends only on which terms are off, `when(p, ...)` with p of 0: `few_terms` does without these,
+    and serves while they stay off; `asked` says which are on. It is written only from checked names and trees of
+    checked expressions, because `Plant` refuses others.
     """
-    lines = ["import numpy as np", "from numba import carray, cfunc, njit, types", ""]
-    lines += ["jit = njit(cache=True, error_model='numpy', nogil=True)", ""]
+    lines = [_HEAD]
     for name in FUNCTIONS:
         if name != "when":  # `when` is written out in place
             lines += [*(["@jit"] if name not in NUMPY else []), text(name)]
     blocks: list[str] = []
     plant = _added(plant)
-    full = _derivative("derivative", plant, blocks)
-    bare = _derivative("bare", _bare(plant), []) if blocks else ["bare = derivative", ""]
+    full = _rates_of("all_terms", plant, blocks)
+    bare = _rates_of("few_terms", _bare(plant), []) if blocks else ["few_terms = all_terms", ""]
     asked = [f"    _on[{i}] = {condition}" for i, condition in enumerate(blocks)]
     lines += [
         "@np.errstate(all='ignore')",
@@ -272,14 +270,7 @@ def source(plant: Plant) -> str:
         *_taken(asked, _p=plant.parameters),
         f"    _on = np.empty({len(blocks)}, np.bool_)",
     ]
-    lines += [*asked, "    return _on", "", *full, *bare]
-    if plant.outside is not None and not isinstance(plant.outside, Rated):
-        sizes = {"x": len(plant.states), "u": len(plant.inputs), "p": len(plant.parameters), "on": len(blocks)}
-        return "\n".join(lines) + _CALLED.format(**sizes)
-    bounded = any(s.low is not None or s.high is not None for s in plant.states.values())
-    given, more = ("", {}) if plant.outside is None else (f"\n{plant.outside.rates}", _RATED)
-    loop = _RUN.format(**{**_ALONE, **(_HELD if bounded else {}), **more})
-    return "\n".join(lines) + (BOUNDED if bounded else STAGES) + given + loop
+    return "\n".join([*lines, *asked, "    return _on", "", *full, *bare])
 
 
 def _added(plant: Plant) -> Plant:
@@ -298,7 +289,7 @@ def _taken(body: Iterable[str], **arrays: Iterable[str]) -> list[str]:
     ]
 
 
-def _derivative(name: str, plant: Plant, blocks: list[str]) -> list[str]:
+def _rates_of(name: str, plant: Plant, blocks: list[str]) -> list[str]:
     """Lines of a function that computes the states' rates. blocks: to which the condition of each block is added."""
     lines: list[str] = []
     used = names(t for equation in plant.equations.values() for t in equation.texts)
@@ -314,7 +305,7 @@ def _derivative(name: str, plant: Plant, blocks: list[str]) -> list[str]:
         storage = parse(group[0].storage).source()
         lines.append(f"    _dx[{states.index(group[0].state)}] = _b0 / ({storage})")
     taken = _taken(lines, _p=plant.parameters, _u=plant.inputs, _x=plant.states)
-    return ["@jit", f"def {name}(_x, _u, _p, _on, _dx):", *taken, *(lines or ["    pass"]), ""]
+    return ["@called", f"def {name}(_x, _u, _p, _on, _dx):", *taken, *(lines or ["    pass"]), ""]
 
 
 def _off(plant: Plant, term: str) -> str | None:
@@ -387,11 +378,7 @@ def _rows() -> str:
     return ", ".join(f"[{', '.join(row)}]" for row in weights())
 
 
-# Loops in place of array operations, one function and one call of `derivative`: numba compiles that in half the time.
-STAGES = f"""
-
-WEIGHTS = np.array([{_rows()}])
-"""
+# Loops in place of array operations: numba compiles that in a third of the time.
 BOUNDED = f'''
 
 @jit
@@ -401,22 +388,27 @@ def hold(x, dx, low, high, rate, bounded):
         moved = rate[j] if rate[j] >= 0 else j
         if (x[j] <= low[j] and dx[moved] < 0.0) or (x[j] >= high[j] and dx[moved] > 0.0):
             dx[moved] = 0.0
-{STAGES}'''
+
+
+WEIGHTS = np.array([{_rows()}])
+'''
 _RUN = '''
 
 @jit
-def pieces(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out, on{at}):
+def pieces(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out, of, on{at}):
     """Fill out[sample] with the state at each sample; return the first sample that is not finite, or -1.
 
     At restarts[i] the states in `reset` become starts[i]; the others go on.
     """
-    n = starts.shape[1]
-    k = np.empty((6, n))
+    n, count = starts.shape[1], 0
+    k, bounded = np.empty((6, n)), np.empty(n, np.int64)
     x, y = np.empty(n), np.empty(n)
-    acting = False
-    for block in on:
-        acting |= block
-{bounds}    for piece in range(len(restarts)):
+    for j in range(n):
+        if low[j] > -np.inf or high[j] < np.inf:
+            bounded[count] = j
+            count += 1
+    bounded = bounded[:count]
+    for piece in range(len(restarts)):
         first = restarts[piece]
         last = restarts[piece + 1] if piece + 1 < len(restarts) else len(inputs) - 1
         for j in range(n):
@@ -424,6 +416,7 @@ def pieces(starts, restarts, reset, inputs, parameters, low, high, rate, h, subs
                 x[j] = starts[piece, j]
             out[first, j] = x[j]
         for sample in range(first, last):
+            u = inputs[sample]
             for {substep} in range(substeps):
                 for stage in range(6):
                     for j in range(n):
@@ -431,42 +424,13 @@ def pieces(starts, restarts, reset, inputs, parameters, low, high, rate, h, subs
                         for i in range(stage):
                             move += WEIGHTS[stage, i] * k[i, j]
                         y[j] = x[j] + h * move
-                    if acting:
-                        derivative(y, inputs[sample], parameters, on, k[stage])
-                    else:
-                        bare(y, inputs[sample], parameters, on, k[stage])
-{rates}{held}                for j in range(n):
+                    summed(y, u, parameters, on, of, k[stage])
+{rates}                    hold(y, k[stage], low, high, rate, bounded)
+                for j in range(n):
                     move = 0.0
                     for i in range(6):
                         move += WEIGHTS[6, i] * k[i, j]
                     x[j] += h * move
-{kept}            for j in range(n):
-                out[sample + 1, j] = x[j]
-            for j in range(n):
-                if not np.isfinite(x[j]):
-                    return sample + 1
-    return -1
-
-
-def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out, *at):
-    """`pieces` of a plant, of whose terms some are off."""
-    on = asked(parameters)
-    return pieces(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out, on, *at)
-'''
-_ALONE = {"at": "", "substep": "_", "rates": "", "bounds": "", "held": "", "kept": ""}
-_HELD = {
-    "bounds": """\
-    bounded, count = np.empty(n, np.int64), 0
-    for j in range(n):
-        if low[j] > -np.inf or high[j] < np.inf:
-            bounded[count] = j
-            count += 1
-    bounded = bounded[:count]
-""",
-    "held": """\
-                    hold(y, k[stage], low, high, rate, bounded)
-""",
-    "kept": """\
                 for j in bounded:
                     if x[j] < low[j]:
                         x[j] = low[j]
@@ -476,14 +440,19 @@ _HELD = {
                         x[j] = high[j]
                         if rate[j] >= 0:
                             x[rate[j]] = min(x[rate[j]], 0.0)
-""",
-}
-"""What the loop has besides where states have bounds."""
+            for j in range(n):
+                out[sample + 1, j] = x[j]
+            for j in range(n):
+                if not np.isfinite(x[j]):
+                    return sample + 1
+    return -1
+'''
+_ALONE = {"at": "", "substep": "_", "rates": ""}
 _RATED = {
     "at": ", at",
     "substep": "substep",
     "rates": """\
-                    rates(at, y, inputs[sample], (substep + WEIGHTS[stage].sum()) * h, k[stage])
+                    rates(at, y, u, (substep + WEIGHTS[stage].sum()) * h, k[stage])
 """,
 }
 """What the loop has besides where a simulator from outside gives rates."""
@@ -506,54 +475,54 @@ def pieces(starts, restarts, reset, inputs, parameters, low, high, rate, h, subs
 
 
 def _loop(plant: Plant) -> Any:
-    """What runs a plant: its compiled module, or what stands for it where a simulator from outside does."""
+    """What runs a plant: its terms and their loop, or what stands for them where a simulator runs elsewhere."""
     of, text = plant.outside, source(plant)
-    if of is None or isinstance(of, Rated):
-        return _module(text)
-    return _Stepped(plant, of, text) if of.loop is None else of.loop(text)
+    return _Loop(plant, text) if of is None or of.loop is None else of.loop(text)
 
 
-class _Stepped:
-    """In place of a plant's module: the loop of a kind of simulators, which calls its terms by their address."""
+class _Loop:
+    """The loop of all plants, or of those of a kind of simulators, which calls a plant's terms by their address."""
 
-    def __init__(self, plant: Plant, of: Outside, text: str):
-        self.terms, self.loop = _module(text), _module(_LOOP + of.source + RESTARTED.format(at=", of, on, at"))
-        moving = {*of.stepped[of.first : of.first + of.forced]}
-        used = names(t for e in plant.equations.values() if e.state in moving for t in e.terms.values())
-        used |= names(t for d in plant.needed(used) for t in d.terms.values())
-        self.sizes, self.resisting = (len(of.stepped), of.first, of.forced), bool(used & moving)
+    def __init__(self, plant: Plant, text: str):
+        self.terms, of, self.resisting, sizes = _module(text), plant.outside, False, ()
+        if of is None:
+            loop = _RUN.format(**_ALONE)
+        elif isinstance(of, Rated):
+            loop = f"\n{of.rates}{_RUN.format(**_RATED)}"
+        else:
+            loop, sizes = of.source + RESTARTED.format(at=", of, on, at"), (len(of.stepped), of.first, of.forced)
+            self.resisting = _resisting(plant, of)
+        self.loop, self.sizes = _module(_LOOP + loop), sizes
 
     def restarted(
         self, starts: np.ndarray, restarts: np.ndarray, reset: np.ndarray, inputs: np.ndarray, parameters: np.ndarray,
-        low: np.ndarray, high: np.ndarray, rate: np.ndarray, h: float, substeps: int, out: np.ndarray, at: Any,
+        low: np.ndarray, high: np.ndarray, rate: np.ndarray, h: float, substeps: int, out: np.ndarray, *at: Any,
     ) -> int:  # fmt: skip
+        """Fill out (samples, states); the first sample that is not finite, or -1. See `Restarted.run`."""
         on = self.terms.asked(parameters)
         acting = bool(on.any())
         terms = self.terms.all_terms if acting else self.terms.few_terms
         of = (terms.address, *self.sizes, int(self.resisting or acting))
         return self.loop.pieces(
-            starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out, of, on, at
+            starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out, of, on, *at
         )
 
 
-_CALLED = '''
+def _resisting(plant: Plant, of: Outside) -> bool:
+    """Whether terms of the plant itself depend on the velocities on which they act as forces."""
+    moving = {*of.stepped[of.first : of.first + of.forced]}
+    used = names(t for e in plant.equations.values() if e.state in moving for t in e.terms.values())
+    return bool((used | names(t for d in plant.needed(used) for t in d.terms.values())) & moving)
 
+
+_HEAD = """
+import numpy as np
+from numba import cfunc, njit, types
+
+jit = njit(cache=True, error_model='numpy', nogil=True)
 REAL, BYTE = types.CPointer(types.float64), types.CPointer(types.uint8)
 called = cfunc(types.void(REAL, REAL, REAL, BYTE, REAL), cache=True, error_model='numpy')
-
-
-@called
-def all_terms(x, u, p, on, dx):
-    """`derivative`, to be called by its address."""
-    derivative(carray(x, {x}), carray(u, {u}), carray(p, {p}), carray(on, {on}), carray(dx, {x}))
-
-
-@called
-def few_terms(x, u, p, on, dx):
-    """`bare`, likewise."""
-    bare(carray(x, {x}), carray(u, {u}), carray(p, {p}), carray(on, {on}), carray(dx, {x}))
-'''
-"""Of a plant that a simulator steps: what its loop takes, if need be in a process of its own."""
+"""
 _LOOP = f"""
 import numpy as np
 from numba import njit, types
@@ -562,6 +531,12 @@ from greygate.plants.calling import call as added
 
 jit = njit(cache=True, error_model='numpy', nogil=True)
 min, max = np.minimum, np.maximum  # of what is no number they make none
+
+
+@jit
+def summed(x, u, p, on, of, dx):
+    # The rates of the states; for velocities of a simulator that steps, the force that effects add.
+    added(of[0], x.ctypes.data, u.ctypes.data, p.ctypes.data, on.ctypes.data, dx.ctypes.data)
 {BOUNDED}"""
 
 

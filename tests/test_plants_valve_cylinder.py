@@ -1,10 +1,12 @@
 """The valve cylinder of the thesis, its supply, its excitation and its scenarios."""
 
 import re
+from ctypes import POINTER
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.ctypeslib import as_ctypes_type
 from scipy.integrate import solve_ivp
 
 from greygate.errors import InputError
@@ -56,13 +58,15 @@ def test_the_generated_equations_are_those_of_the_rig():
     plant = valve_cylinder("constant")
     module = _module(source(plant))
     parameters = np.array([p.value for p in plant.parameters.values()])
+    on = module.asked(parameters).view(np.uint8)
     assert tuple(plant.states) == STATES
     rng = np.random.default_rng(0)
     scale = np.array([0.01, 6e-4, 0.1, 0.04, 0.1, 1e-4, 1e7, 1e7])
     for _ in range(200):
         state = rng.uniform(-1, 1, 8) * scale + [0, 0, 0, 0, 0, 0, 1.1e7, 1.1e7]
         inputs, found = rng.uniform(-1, 1, 2) * [1.5, 3000], np.empty(8)
-        module.derivative(state, inputs, parameters, module.asked(parameters), found)
+        arrays = state, inputs, parameters, on, found
+        module.all_terms.ctypes(*(a.ctypes.data_as(POINTER(as_ctypes_type(a.dtype))) for a in arrays))
         np.testing.assert_allclose(found, rig_equations(state, *inputs), rtol=1e-11)
 
 
