@@ -484,21 +484,23 @@ class _Loop:
     """The loop of all plants, or of those of a kind of simulators, which calls a plant's terms by their address."""
 
     def __init__(self, plant: Plant, text: str):
-        self.terms, of, self.resisting, sizes = _module(text), plant.outside, False, ()
+        self.terms, of = _module(text), plant.outside
+        self.sizes, self.resisting = tuple[int, ...](), False
         if of is None:
             loop = _RUN.format(**_ALONE)
         elif isinstance(of, Rated):
             loop = f"\n{of.rates}{_RUN.format(**_RATED)}"
         else:
-            loop, sizes = of.source + RESTARTED.format(at=", of, on, at"), (len(of.stepped), of.first, of.forced)
-            self.resisting = _resisting(plant, of)
-        self.loop, self.sizes = _module(_LOOP + loop), sizes
+            loop = of.source + RESTARTED.format(at=", of, on, at")
+            self.sizes, self.resisting = (len(of.stepped), of.first, of.forced), _resisting(plant, of)
+        self.loop = _module(_LOOP + loop)
 
     def restarted(
         self, starts: np.ndarray, restarts: np.ndarray, reset: np.ndarray, inputs: np.ndarray, parameters: np.ndarray,
         low: np.ndarray, high: np.ndarray, rate: np.ndarray, h: float, substeps: int, out: np.ndarray, *at: Any,
     ) -> int:  # fmt: skip
         """Fill out (samples, states); the first sample that is not finite, or -1. See `Restarted.run`."""
+        inputs, parameters = (np.ascontiguousarray(a, dtype=float) for a in (inputs, parameters))  # read by address
         on = self.terms.asked(parameters)
         acting = bool(on.any())
         terms = self.terms.all_terms if acting else self.terms.few_terms

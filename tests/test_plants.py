@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -281,6 +282,20 @@ def test_terms_that_are_off_cost_nothing_and_count_when_they_come_on():
         np.testing.assert_array_equal(found[:, 0], simulate(alone, force)["x"])
         on = module.asked(np.array([*({**values, f"on_{i}": 0.5}).values()]))
         np.testing.assert_array_equal(on, [i < 8, i == 8])
+
+
+@pytest.mark.parametrize("taken", [np.asfortranarray, lambda a: a.astype(np.int32), lambda a: a[:, ::-1]])
+def test_inputs_in_any_layout_move_a_plant_alike(taken):
+    """Their rows are read by address."""
+    plant = oscillator()
+    plant = replace(plant, inputs={**plant.inputs, "other": plant.inputs["force"]}).with_term("motion", "more", "2 * other")
+    inputs = np.random.default_rng(1).integers(-9, 9, (50, 2))
+    values = {symbol: p.value for symbol, p in plant.parameters.items()}
+    wanted, found = (
+        Restarted(plant, 1e-3, 1e-4).run(given, np.array([0]), np.zeros((1, 2)), np.ones(2, bool), values)
+        for given in (np.ascontiguousarray(taken(inputs), dtype=float), taken(inputs))
+    )
+    np.testing.assert_array_equal(found, wanted)
 
 
 def test_a_comment_or_a_line_break_in_an_expression_changes_nothing():
