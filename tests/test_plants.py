@@ -288,7 +288,9 @@ def test_terms_that_are_off_cost_nothing_and_count_when_they_come_on():
 def test_inputs_in_any_layout_move_a_plant_alike(taken):
     """Their rows are read by address."""
     plant = oscillator()
-    plant = replace(plant, inputs={**plant.inputs, "other": plant.inputs["force"]}).with_term("motion", "more", "2 * other")
+    plant = replace(plant, inputs={**plant.inputs, "other": plant.inputs["force"]}).with_term(
+        "motion", "more", "2 * other"
+    )
     inputs = np.random.default_rng(1).integers(-9, 9, (50, 2))
     values = {symbol: p.value for symbol, p in plant.parameters.items()}
     wanted, found = (

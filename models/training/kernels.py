@@ -41,7 +41,7 @@ def kernel(**options) -> Callable[[Callable], Callable]:
     return compiled
 
 
-called = numba.njit(nogil=True, error_model="numpy", forceinline=True)
+called = numba.njit(nogil=True, error_model="numpy", forceinline=True)  # by LLVM: numba itself takes half a minute
 
 
 def _value_of(function: Callable) -> Callable:
@@ -106,7 +106,7 @@ def _slopes_of(a: int, b: int, c: int, one: Callable, two: Callable, three: Call
 
 
 def _chosen(parts: Sequence[Callable], none: Callable, of: Callable[..., Callable], first: int = 0) -> Callable:
-    """One function of those of each kind, from `first` on: by quarters, for numba copies what is inlined at each level.
+    """One function of those of each kind, from `first` on, by quarters.
 
     none: where no kind is left.
     """
@@ -249,7 +249,7 @@ def preactivation(links, lo, hi, theta, bias, row, k, now, past):  # pragma: no 
     return n
 
 
-@kernel(inline="always")
+@kernel()
 def slopes_at(layers, links, theta, at, count, now, past, slopes, twins, active):  # pragma: no cover - compiled
     """For rows at to at + count - 1 of now: slopes[e, b], twins[e, b], active[e, b] (elements, LANES).
 
