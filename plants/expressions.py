@@ -35,7 +35,7 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_][A-Za-z0-9_]*+)|(?P<sign>\*\*|[-+*/(),])"
 )
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_RESERVED = {"np", "njit", "jit", "derivative", "hold", "run", "restarted", *FUNCTIONS}
+_RESERVED = {"np", *FUNCTIONS}
 _SUM, _PRODUCT, _SIGN, _POWER, _ATOM = range(1, 6)  # how tightly an operation binds
 _TEST, _COMPARISON = -1, 0  # `x if c != 0.0 else 0.0` binds less
 _BINDS = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "**": _POWER}

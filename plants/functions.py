@@ -33,7 +33,7 @@ def arguments(name: str) -> int:
 
 
 def text(name: str) -> str:
-    """Its definition in Python."""
+    """Its definition in Python, if it needs one."""
     if name not in NUMPY:
         return inspect.getsource(FUNCTIONS[name])
     return f"{name} = np.{NUMPY[name]}" if name != "abs" else ""  # Python's own is quicker outside of numba

@@ -32,7 +32,7 @@ class Outside(Protocol):
     steps: whether it has steps of its own; else of the plant. whole: whether it may not begin within a recording, for
     nobody records all of its states. timed: whether what it computes depends on time itself.
     coupled: velocity -> the number of the mass matrix that couples it with others of that number, if one does.
-    loop: what runs the plant in place of its compiled module, in a process of its own; None: the module itself.
+    loop: what runs the plant, of the source of its terms, in a process of its own; None: this one does.
     """
 
     @property

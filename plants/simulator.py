@@ -1,9 +1,10 @@
 """Makes a compiled fixed-step simulation of a plant's declaration.
 
-The right-hand side and a Dormand-Prince 5 step are written out as Python source and compiled by numba. The source is
-kept under its hash in `$XDG_CACHE_HOME/greygate/plants` (`~/.cache` by default) with numba's cache beside it, so that
-a plant is compiled once on a computer. Parameters, limits and initial states are arguments, so changing them does not
-compile again; only which terms `when(p, ...)` are off by the plant's own values stands in the source.
+The terms of a plant are written out as Python source and compiled by numba, for a loop of Dormand-Prince 5 steps that
+all plants share. The source is kept under its hash in `$XDG_CACHE_HOME/greygate/plants` (`~/.cache` by default) with
+numba's cache beside it, so that a plant is compiled once on a computer. Parameters, limits and initial states are
+arguments, so changing them does not compile again; only which terms `when(p, ...)` are off by the plant's own values
+stands in the source.
 """
 
 import copy
@@ -19,6 +20,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.generated import load
+from greygate.plants import calling
 from greygate.plants.expressions import names, parse
 from greygate.plants.functions import FUNCTIONS, NUMPY, text
 from greygate.plants.outside import Outside, Rated
@@ -36,6 +38,7 @@ _STAGES = (
 )
 STEP = 1e-4  # s, of integration (thesis 5.2)
 TIME = "t"  # an input of that name is the time
+_STRENGTH = re.compile(r"\w+|abs\(\w+\)")  # a condition that is a parameter, or its size
 BLOCK = 8  # terms that may be off, to ask for at once: of a hundred a dozen, and eight in the block of one that is on
 _SOLUTION = ("35/384", "0", "500/1113", "125/192", "-2187/6784", "11/84")
 
@@ -365,7 +368,8 @@ def _summed(name: str, place: Equation | Definition, plant: Plant, blocks: list[
         lines.append(f"    if _on[{len(blocks)}]:")
         for term, condition in block:  # a statement each: an expression with `else` takes numba half as long again
             lines += [f"        if {condition} != 0.0:", f"            {name} += {term}"]
-        blocks.append(" | ".join(f"(({condition}) != 0.0)" for _, condition in block))
+        plain = all(_STRENGTH.fullmatch(condition) for _, condition in block)  # else Python might answer otherwise
+        blocks.append(" | ".join(f"({condition} != 0.0)" for _, condition in block) if plain else "True")
     return lines
 
 
@@ -492,7 +496,7 @@ class _Loop:
             loop = f"\n{of.rates}{_RUN.format(**_RATED)}"
         else:
             loop = of.source + RESTARTED.format(at=", of, on, at")
-            self.sizes, self.resisting = (len(of.stepped), of.first, of.forced), _resisting(plant, of)
+            self.sizes, self.resisting = (len(of.stepped), of.first, of.forced), _resisting(_added(plant), of)
         self.loop = _module(_LOOP + loop)
 
     def restarted(
@@ -529,7 +533,7 @@ _LOOP = f"""
 import numpy as np
 from numba import njit, types
 
-from greygate.plants.calling import call as added
+from greygate.plants.calling import call as added  # {calling.TEXT}
 
 jit = njit(cache=True, error_model='numpy', nogil=True)
 min, max = np.minimum, np.maximum  # of what is no number they make none

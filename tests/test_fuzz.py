@@ -50,12 +50,8 @@ SHARE = 0.05  # of the mutants that shall be accepted, and refused: else the fuz
 class Held:
     """In place of a compiled plant, which takes numba seconds: states stay where they begin."""
 
-    def __init__(self, text: str):
+    def __init__(self, plant, text: str):
         compile(text, "plant", "exec")
-
-    def run(self, x, *others):
-        others[-1][:] = x
-        return -1
 
     def restarted(self, starts, *others):
         others[-1][:] = starts[0]
@@ -67,7 +63,7 @@ def _simulated(folder: Path, changed=None, diagnosis=None, own=None) -> None:
 
     changed: makes another plant of the rig's. own: effects in place of those known.
     """
-    SIMULATE._module = Held
+    SIMULATE._Loop = Held
     found = rig.load(folder)
     recording = found.recording(folder / "identify.csv")
     if changed is not None:

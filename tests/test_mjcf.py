@@ -82,6 +82,13 @@ def test_a_plant_from_a_model_moves_as_mujoco_moves_it_in_every_bit(tmp_path, op
     assert np.array_equal(np.stack([found["shoulder"], found["el_bow"]], axis=1), wanted)
 
 
+@pytest.mark.parametrize(("term", "resists"), [("0.1 * shoulder", False), ("-0.1 * v_shoulder", True)])
+def test_only_what_is_added_may_resist_a_step(tmp_path, term, resists):
+    """The model's own damping and friction are MuJoCo's, in its steps."""
+    plant = mjcf.read(write(tmp_path), ["m1", "m2"]).with_term("motion_shoulder", "more", term)
+    assert Restarted(plant, DT, plant.step).module.resisting is resists
+
+
 def test_terms_and_parameters_have_mujocos_names_and_values(tmp_path):
     plant = mjcf.read(write(tmp_path), ["m1", "m2"])
     assert {s: plant.parameters[s].value for s in ("damping_shoulder", "frictionloss_shoulder", "kp_m2", "kv_m2")} == {

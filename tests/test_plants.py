@@ -284,6 +284,17 @@ def test_terms_that_are_off_cost_nothing_and_count_when_they_come_on():
         np.testing.assert_array_equal(on, [i < 8, i == 8])
 
 
+def test_a_term_whose_condition_is_more_than_a_strength_is_asked_where_it_is_compiled():
+    """Python would divide by zero, and numpy's third power is another than numba's."""
+    names = dict.fromkeys(("p", "q", "r", "s"), Parameter(0.0, "N"))
+    plant = oscillator().with_term("motion", "odd", "when(when(q, 1 / when(p, r)), s)", names)
+    values = {symbol: p.value for symbol, p in plant.parameters.items()} | {"q": 1.0, "s": 2.0}
+    alone = oscillator().with_term("motion", "odd", "2")
+    inputs, restarts, starts, reset = np.ones((20, 1)), np.array([0]), np.array([[0.1, 0.0]]), np.ones(2, bool)
+    found, wanted = (Restarted(p, 1e-3, 1e-4).run(inputs, restarts, starts, reset, values) for p in (plant, alone))
+    np.testing.assert_array_equal(found, wanted)
+
+
 @pytest.mark.parametrize("taken", [np.asfortranarray, lambda a: a.astype(np.int32), lambda a: a[:, ::-1]])
 def test_inputs_in_any_layout_move_a_plant_alike(taken):
     """Their rows are read by address."""

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from joblib import Parallel, delayed
 from networks import random_inputs, random_network
+from numba.extending import is_jitted
 from test_network import SMOOTH, delay_line
 
 from greygate.cores import usable_cores
@@ -16,6 +17,7 @@ from greygate.errors import InputError
 from greygate.models.families.blocks import feedforward, flow_rate, flow_record
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
+from greygate.models.training import kernels
 from greygate.models.training import objective as objective_module
 from greygate.models.training.levenberg import Outcome, multistart, narx_noe, train
 from greygate.models.training.loss import Loss
@@ -48,6 +50,15 @@ def test_gradients_through_time_equal_those_of_torch_for_any_topology(seed):
     grads = {n: np.zeros(t.shape) if t.grad is None else t.grad.numpy() for n, t in tensors.items()}
     want = np.concatenate([grads[n].ravel() for n in objective.slices()])[objective.free]
     np.testing.assert_allclose(gradient, want, rtol=1e-8, atol=1e-8 * (np.abs(want).max(initial=0) + 1e-3))
+
+
+def test_every_function_of_a_kernel_says_its_own_arithmetic():
+    """Else numba gives it that of what calls it first: to the bit the same, it would depend on what ran before."""
+    found = {name: f for name, f in vars(kernels).items() if is_jitted(f)}
+    assert {"slopes_at", "_slopes", "sensitivities"} <= found.keys()
+    assert not [name for name, f in found.items() if "fastmath" not in f.targetoptions]
+    fast = [name for name, f in found.items() if f.targetoptions["fastmath"]]
+    assert fast == ["sensitivities"]
 
 
 def test_the_free_run_of_the_kernel_is_the_free_run_of_the_network():

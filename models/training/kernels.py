@@ -31,8 +31,10 @@ _TEXT = hashlib.sha256(b"".join(Path(getfile(module)).read_bytes() for module in
 def kernel(**options) -> Callable[[Callable], Callable]:
     """`numba.njit(**options)`, kept on disk under a name that changes with all that kernels inline from other files.
 
-    Numba itself looks only at the file in which a function stands, and would go on with activations as they were.
+    Numba itself looks only at the file in which a function stands, and would go on with activations as they were. And
+    it gives a function the arithmetic of whatever calls it first, but for one that says its own.
     """
+    options = {"fastmath": False, **options}
 
     def compiled(function: Callable) -> Callable:
         function.__qualname__ += f"_{_TEXT}"
@@ -41,7 +43,8 @@ def kernel(**options) -> Callable[[Callable], Callable]:
     return compiled
 
 
-called = numba.njit(nogil=True, error_model="numpy", forceinline=True)  # by LLVM: numba itself takes half a minute
+called = numba.njit(nogil=True, error_model="numpy", fastmath=False, forceinline=True)
+"""Put in by LLVM: numba itself took half a minute for that."""
 
 
 def _value_of(function: Callable) -> Callable:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from greygate.plants import calling
 from greygate.plants.simulator import BOUNDED, RESTARTED
 
 Numbers = Sequence[float] | np.ndarray
@@ -105,11 +106,11 @@ def updated(c, flags, moment):
     return status
 ''',
 }
-HEAD = """
+HEAD = f"""
 import numpy as np
 from numba import njit, types
 
-from greygate.plants.calling import call
+from greygate.plants.calling import call  # {calling.TEXT}
 
 jit = njit(cache=True, error_model='numpy', nogil=True)
 FINE = 1  # the highest status of FMI that is none of a failure: a warning

@@ -168,7 +168,7 @@ def of(archive: Archive, about: Mapping[str, Any]) -> Unit:
 
 
 class Loop:
-    """In place of a plant's compiled module: `restarted` in the process of an FMU. kind: the loop's source.
+    """What runs a plant, in the process of an FMU. kind: the loop's source.
 
     at: (process, what `Simulated.lent` says to it).
     """
