@@ -36,8 +36,8 @@ def general(
     not excite, as for the simulation of what another one showed; without it, effects of time alone are offered only
     where the noise is told. Where the plant, or an effect `beside` them, has one of their symbols already, they take
     another symbol. A diagnosis reports it by the name that stands in the table. What does along the recording as one
-    of those does, in one of its shapes, is not offered under a second name. In a definition, which says nothing of the
-    direction in which its result acts, a strength may have either sign.
+    of those does, in one of its shapes, is not offered under a second name, but for `every`: at rest all do alike. In a
+    definition, which says nothing of the direction in which its result acts, a strength may have either sign.
     """
     plant, out, seen, beside = rig.plant, {}, Seen(rig, recording), list(beside)
     elements = plant.outside.elements if plant.outside else {}
@@ -75,7 +75,7 @@ def general(
                 sized["of"] = f"{sized['of']}_{name}"
             key_here = f"{key}_{name}" if len(named) > 1 else key
             effect = effect_of(GENERAL, key_here, {"plants": [plant.name], **sized})
-            if not any(_same(own, other) for own in _columns(effect, seen) for other in had):
+            if every or not any(_same(own, other) for own in _columns(effect, seen) for other in had):
                 out[key_here] = effect
     return out
 

@@ -228,6 +228,7 @@ def test_what_the_rigs_own_table_has_is_not_offered_under_a_second_name(rigs):
     one = table.Effect("one", "", ("plant",), ("first",), (), free, {"first.pipe": both["first.pipe"]})
     assert "exchange" in table.general(rig, recording(rig), [one])
     assert "exchange" not in table.general(rig, recording(rig), [pipe])
+    assert "exchange" in table.general(rig, recording(rig), [pipe], every=True)  # another recording may have told them
 
 
 def test_what_the_rigs_own_table_has_in_another_shape_is_not_offered_under_a_second_name(rigs):
