@@ -99,7 +99,7 @@ def test_a_table_may_end_where_its_function_is_flat_or_too_large(name):
 
 
 def test_a_kind_that_no_entry_has_is_an_error():
-    values = numba.njit(lambda kind, n: kernels._values(kind, n))
+    values = numba.njit(lambda kind, n: kernels._values(kind, n.reshape(1, 1), 0, 0, 1))
     slopes = numba.njit(lambda kind, n: kernels._slopes(kind, n, n, n))
     for function in (values, slopes):
         with pytest.raises(ValueError, match="no such kind"):

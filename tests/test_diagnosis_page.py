@@ -182,8 +182,8 @@ def test_what_a_confidence_is_worth_is_what_sealed_cases_say():
     for (low, claims, right), high in zip(advice.RELIABLE, ends, strict=True):
         inside = [b for b in bins if low <= b["from"] < high]
         assert (claims, right) == (sum(b["claims"] for b in inside), sum(b["right"] for b in inside))
-    assert advice.trust(0.79).startswith("8 of 11 claims")
-    assert advice.trust(0.99).startswith("70 of 72 claims")
+    assert advice.trust(0.79).startswith("13 of 27 claims")
+    assert advice.trust(0.99).startswith("111 of 111 claims")
 
 
 def test_inputs_of_several_units_are_drawn_in_parts_of_their_largest(drum):
