@@ -55,6 +55,7 @@ from greygate.progress import Budget, OutOfTime, Progress, silent
 
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
+DRAWN = 0.1  # of the squared error without it, that a parameter leaves at least which something unexplained drew
 ALIKE = 0.95  # of what can be explained: a name that takes so much is not replaced by the same in other words
 CLOSED = PART  # of the misfit, that a fitted term must take, as a name must: what takes less does harm elsewhere
 NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
@@ -363,11 +364,16 @@ def _missed(state: State) -> bool:
 
 
 def _held_to_tolerance(state: State) -> State:
-    """Beside something unexplained no parameter is taken beyond its tolerance."""
+    """Beside something unexplained no parameter goes beyond its tolerance, but where that takes nearly all of it."""
     if not state.open:
         return state
+    search, claims = state.search, state.claims
     state.progress("calibrating to the run itself")
-    state = _written(state, held_to_tolerance(state.search, state.claims))
+    held, judge = held_to_tolerance(search, claims), Judge(claims.fit.likelihood)
+    if claims.best.released and judge.total(claims.fit) < DRAWN * judge.total(held.fit):
+        search.within = WITHIN
+        return state
+    state = _written(state, held)
     state = replace(state, left=state.selection.left(state.found.fit) or state.left)
     return state if state.explained >= PART else replace(state, verdict=Verdict.UNEXPLAINED, unlike="")
 

@@ -1,13 +1,17 @@
 """Parameters beside something unexplained: it draws them, so they stay within their tolerances and are no surer."""
 
 import copy
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from greygate.mismatch.claims import Claims, held_to_tolerance
+from greygate.mismatch.concealed.conceal import conceal
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.diagnosis import Diagnosis
+from greygate.mismatch.rig import load
 from greygate.mismatch.search import Hypothesis
 from greygate.mismatch.simulation import corrected
 from greygate.mismatch.verdict import Verdict
@@ -53,6 +57,16 @@ def test_beside_something_unexplained_parameters_stay_within_their_tolerance(sli
         assert abs(fit.values["creep"] - sheet.value) <= sheet.tolerance * abs(sheet.value) * (1 + 1e-9)
         assert [creep.low, creep.high] == pytest.approx([sheet.value * (1 + s * sheet.tolerance) for s in (-1, 1)])
     assert held_to_tolerance(search, Claims(Hypothesis((), ("creep",)), plain, plain)).best == Hypothesis()
+
+
+def test_a_parameter_without_which_the_error_is_tenfold_was_drawn_by_nothing(tmp_path):
+    """Here noise that remembers is left, once a sensor ends and a capacity is a third smaller."""
+    conceal("electrical", 3001, tmp_path / "rig", kind="both", effect="sensor_saturation", under="coloured")
+    found, truth = diagnose(load(tmp_path / "rig")).as_dict(), json.loads((tmp_path / "rig/sealed.json").read_text())
+    assert [e["id"] for e in found["effects"]] == ["sensor_saturation_v_2"]
+    assert found["parameters"]["c_1"]["outside_tolerance"]
+    low, high = found["parameters"]["c_1"]["ci95"]
+    assert low < truth["parameters_true"]["c_1"] < high
 
 
 def test_a_corrected_simulation_has_the_claimed_effect_alone(slipping):
