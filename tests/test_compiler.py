@@ -58,16 +58,20 @@ def random_program(seed: int) -> tuple[Program, np.ndarray]:
     return program, program.encode(random_inputs(network, 25, seed + 1))
 
 
-@settings(max_examples=220)
-@given(st.integers(0, 10**9))
-def test_engine_and_interpreter_agree_in_every_bit_of_every_signal_of_random_networks(seed):
-    program, codes = random_program(seed)
-    slow, fast = interpret(program, codes, trace=True), run(program, codes, trace=True)
-    for name, want in slow.trace.items():
-        np.testing.assert_array_equal(fast.trace[name], want, err_msg=name)
-    np.testing.assert_array_equal(fast.outputs, slow.outputs)
-    np.testing.assert_array_equal(fast.states, slow.states)
-    assert fast.saturations == slow.saturations
+@pytest.mark.parametrize("examples", [60, pytest.param(220, marks=pytest.mark.nightly)])
+def test_engine_and_interpreter_agree_in_every_bit_of_every_signal_of_random_networks(examples):
+    @settings(max_examples=examples)
+    @given(st.integers(0, 10**9))
+    def agree(seed):
+        program, codes = random_program(seed)
+        slow, fast = interpret(program, codes, trace=True), run(program, codes, trace=True)
+        for name, want in slow.trace.items():
+            np.testing.assert_array_equal(fast.trace[name], want, err_msg=name)
+        np.testing.assert_array_equal(fast.outputs, slow.outputs)
+        np.testing.assert_array_equal(fast.states, slow.states)
+        assert fast.saturations == slow.saturations
+
+    agree()
 
 
 @settings(max_examples=30)

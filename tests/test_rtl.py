@@ -119,7 +119,7 @@ def ring(name):
     return program(name, [u], [total], states, outputs=[y, c, u])
 
 
-EVERY = pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.nightly)])  # which of the seeds
+EVERY = pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.nightly)])  # which of the seeds
 
 
 @EVERY
