@@ -364,13 +364,17 @@ def _missed(state: State) -> bool:
 
 
 def _held_to_tolerance(state: State) -> State:
-    """Beside something unexplained no parameter goes beyond its tolerance, but where that takes nearly all of it."""
+    """Beside something unexplained no parameter goes beyond its tolerance, which that may draw.
+
+    It does not where all that is left is no larger than the told noise, and without the parameter far more were left.
+    """
     if not state.open:
         return state
     search, claims = state.search, state.claims
     state.progress("calibrating to the run itself")
     held, judge = held_to_tolerance(search, claims), Judge(claims.fit.likelihood)
-    if claims.best.released and judge.total(claims.fit) < DRAWN * judge.total(held.fit):
+    slight = claims.best.released and not state.unlike and state.selection.excess(state.found) <= 1.0
+    if slight and judge.total(claims.fit) < DRAWN * judge.total(held.fit):
         search.within = WITHIN
         return state
     state = _written(state, held)
