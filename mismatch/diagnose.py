@@ -366,17 +366,18 @@ def _missed(state: State) -> bool:
 def _held_to_tolerance(state: State) -> State:
     """Beside something unexplained no parameter goes beyond its tolerance, which that may draw.
 
-    It does not where all that is left is no larger than the told noise, and without the parameter far more were left.
+    That draws none where all that is left is no larger than the told noise, and without the parameter far more were.
     """
     if not state.open:
         return state
     search, claims = state.search, state.claims
     state.progress("calibrating to the run itself")
-    held, judge = held_to_tolerance(search, claims), Judge(claims.fit.likelihood)
-    slight = claims.best.released and not state.unlike and state.selection.excess(state.found) <= 1.0
-    if slight and judge.total(claims.fit) < DRAWN * judge.total(held.fit):
-        search.within = WITHIN
-        return state
+    held = held_to_tolerance(search, claims)
+    if claims.best.released and not state.unlike and state.selection.excess(state.found) <= 1.0:
+        judge = Judge(claims.fit.likelihood)
+        if judge.total(claims.fit) < DRAWN * judge.total(held.fit):
+            search.within = WITHIN
+            return state
     state = _written(state, held)
     state = replace(state, left=state.selection.left(state.found.fit) or state.left)
     return state if state.explained >= PART else replace(state, verdict=Verdict.UNEXPLAINED, unlike="")

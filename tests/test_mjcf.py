@@ -4,6 +4,7 @@ import importlib
 import json
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from greygate.mismatch.rig import load
 from greygate.mismatch.search import Search
 from greygate.mismatch.stretches import stretches
 from greygate.plants import kinds, mjcf
-from greygate.plants.plant import Plant
+from greygate.plants.plant import Parameter, Plant
 from greygate.plants.simulator import Restarted, simulate
 from greygate.progress import silent
 
@@ -87,6 +88,19 @@ def test_only_what_is_added_may_resist_a_step(tmp_path, term, resists):
     """The model's own damping and friction are MuJoCo's, in its steps."""
     plant = mjcf.read(write(tmp_path), ["m1", "m2"]).with_term("motion_shoulder", "more", term)
     assert Restarted(plant, DT, plant.step).module.resisting is resists
+
+
+@pytest.mark.parametrize("strength", [0.0, 1.0])
+def test_an_effect_that_acts_may_resist_a_step_by_a_state_of_its_own(tmp_path, strength):
+    term = "when(abs(more), more * shoulder)"
+    plant = mjcf.read(write(tmp_path), ["m1", "m2"]).with_term(
+        "motion_shoulder", "more", term, {"more": Parameter(0.0, "N m/rad")}
+    )
+    ran, told = Restarted(plant, DT, plant.step), []
+    ran.module.loop = SimpleNamespace(pieces=lambda *given: told.append(given[-3][-1]) or -1)
+    values = {symbol: p.value for symbol, p in plant.parameters.items()} | {"more": strength}
+    ran.run(np.zeros((3, 2)), np.array([0]), np.zeros((1, 4)), np.ones(4, bool), values)
+    assert told == [int(strength != 0.0)]
 
 
 def test_terms_and_parameters_have_mujocos_names_and_values(tmp_path):

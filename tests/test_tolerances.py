@@ -1,8 +1,10 @@
 """Parameters beside something unexplained: it draws them, so they stay within their tolerances and are no surer."""
 
 import copy
+import importlib
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +17,9 @@ from greygate.mismatch.rig import load
 from greygate.mismatch.search import Hypothesis
 from greygate.mismatch.simulation import corrected
 from greygate.mismatch.verdict import Verdict
+from greygate.progress import silent
+
+finding = importlib.import_module("greygate.mismatch.diagnose")
 
 
 def test_where_something_is_unexplained_no_parameter_is_better_known_than_before(slipping):
@@ -67,6 +72,27 @@ def test_a_parameter_without_which_the_error_is_tenfold_was_drawn_by_nothing(tmp
     assert found["parameters"]["c_1"]["outside_tolerance"]
     low, high = found["parameters"]["c_1"]["ci95"]
     assert low < truth["parameters_true"]["c_1"] < high
+
+
+@pytest.mark.parametrize(("excess", "unlike", "without", "stays"), [
+    (0.6, "", 20.0, True), (1.3, "", 20.0, False), (0.6, "a smooth curve", 20.0, False), (0.6, "", 5.0, False),
+])  # fmt: skip
+def test_what_is_left_beside_a_parameter_says_whether_it_may_have_drawn_it(excess, unlike, without, stays, monkeypatch):
+    claims = SimpleNamespace(best=Hypothesis(("end",), ("c",)), fit=SimpleNamespace(likelihood=None))
+    held = SimpleNamespace(fit=SimpleNamespace(likelihood=None))
+    monkeypatch.setattr(finding, "held_to_tolerance", lambda *given: held)
+    monkeypatch.setattr(
+        finding, "Judge", lambda _: SimpleNamespace(total=lambda fit: without if fit is held.fit else 1)
+    )
+    state = SimpleNamespace(
+        open=True, search=SimpleNamespace(within=2.0), claims=claims, progress=silent, unlike=unlike, left="",
+        found=SimpleNamespace(fit=None), selection=SimpleNamespace(excess=lambda found: excess, left=lambda fit: ""),
+    )  # fmt: skip
+    written = []
+    monkeypatch.setattr(finding, "_written", lambda *given: written.append(given) or state)
+    monkeypatch.setattr(finding, "replace", lambda *given, **more: SimpleNamespace(explained=1.0))
+    finding._held_to_tolerance(state)
+    assert (not written, state.search.within == finding.WITHIN) == (stays, stays)
 
 
 def test_a_corrected_simulation_has_the_claimed_effect_alone(slipping):
