@@ -5,6 +5,7 @@ PYTHON ?= python3
 OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch control identify machines hardware pages export recordings
+unexport PYTHONDONTWRITEBYTECODE # where it is set, each of hundreds of child processes compiles every source anew
 NO_FLOATS := rtl random_hardware adders_hardware synthesis proofs engine board c99 browser fuzz fuzzing faults attacks \
     names escapes waveform testing ci schemas invocations imports files serial pipelined targets export
 

@@ -488,8 +488,8 @@ class Wiring:
                 for n in range(2, int(power) + 1):
                     found = self.product(f"{name}_{n}", found, base)
                 return found
-            case Call("when", (_, of)):  # it acts: what is off is linear
-                return self.built(name, of, at)
+            case Call("when", (condition, of)):
+                return self.where(name, condition, self.built(name, of, at), at)
             case Call("exp", (inner,)) if (root := bell(inner)) is not None:
                 return self.neuron(name, "radbas", self.built(f"{name}_0", root, at))
             case Call("smooth_step", (x, width)):
@@ -516,6 +516,19 @@ class Wiring:
         layer = Layer(weights, [form.constant / scale for form in rows], "select", frozen={*keys, "bias"})
         self.network.add(name, layer, {k: (self.wires[k].source, self.wires[k].delay) for k in keys})
         return self.made(name, name, scale, found, plain(name))
+
+    def where(self, name: str, condition: Node, form: Form, at: int) -> Form:
+        """The form where a condition is not 0, else 0."""
+        known = linear(condition, lambda symbol: self.resolve(symbol, at))
+        if known is not None and known.is_constant:
+            return form if known.constant else Form()
+        match condition:
+            case Call("max", (above, Number(0))):
+                size: Node = above
+            case _:
+                size = Call("abs", (condition,))
+        self.log("part", plain(name), "a multiplexer", "the term acts only where its condition holds")
+        return self.chosen(name, self.built(f"{name}_if", Signed("-", size), at), Form(), form)
 
     def called(self, name: str, function: str, given: list[Form]) -> Form:
         if function == "tanh":
@@ -658,8 +671,8 @@ def is_exact(node: Node) -> bool:
             return power in range(2, HIGHEST + 1) and is_exact(left)
         case Call("exp", (of,)):
             return (root := bell(of)) is not None and is_exact(root)
-        case Call("when", (_, of)):
-            return is_exact(of)
+        case Call("when", (condition, of)):
+            return is_exact(condition) and is_exact(of)
         case Call("abs" | "sign" | "sin" | "cos" | "tanh" | "max" | "min" | "smooth_step", given):
             return all(is_exact(of) for of in given)
     return False
