@@ -248,7 +248,24 @@ class ColouredSelection(Selection):
         """The same with earlier effects replaced by others that do better now that the last one is there."""
         for drop in best.effects[:-1]:
             best, current = self._replaced(best, current, drop, lambda plain, rare: plain)
-        return self._in_form(best, current)
+        best, current = self._in_form(best, current)
+        return best, self._anew(best, current) if best.effects and best.size == 1 else current
+
+    def _anew(self, best: Hypothesis, fit: Fit) -> Fit:
+        """The fit of a first effect, or a better one from the data sheet on, where something is left.
+
+        What was calibrated without it makes up for it, and a fit that begins there may end in a local minimum.
+        """
+        if not self.left(fit) or self.search.skips(best):
+            return fit
+        sheet = self.plain.likelihood.fit(self.plain.unknowns, iterations=0)
+        own = {f.symbol for key in best.effects for f in self.search.effects[key].free}
+        again = self.fitted(sheet, best, {s: v for s, v in fit.values.items() if s in own})
+        if not again.cost < fit.cost - SURE:
+            return fit
+        self.runs.pop(best, None)
+        self.fits[best] = again
+        return again
 
     def _in_form(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
         """The same with the effect that was added last in another of its forms, which begins where that one ended.
