@@ -143,7 +143,7 @@ class Expression:
         """The condition under which it is not 0, where it is a `when` as a whole."""
         match self.tree:
             case Call("when", (condition, _)):
-                return Expression(condition, tuple(_names(condition)), _quiet(_computed(condition)))
+                return Expression(condition, tuple(names_of(condition)), _quiet(_computed(condition)))
         return None
 
     @property
@@ -151,7 +151,7 @@ class Expression:
         """What it is under its `condition`."""
         match self.tree:
             case Call("when", (_, value)):
-                return Expression(value, tuple(_names(value)), _quiet(_computed(value)))
+                return Expression(value, tuple(names_of(value)), _quiet(_computed(value)))
         return self
 
     def source(self) -> str:
@@ -349,17 +349,17 @@ def _raised(a, b):
 _SIGNS = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": _divided, "**": _raised}
 
 
-def _names(node: Node) -> dict[str, None]:
+def names_of(node: Node) -> dict[str, None]:
     """The symbols of a tree, in their order."""
     match node:
         case Name(symbol):
             return {symbol: None}
         case Signed(_, of):
-            return _names(of)
+            return names_of(of)
         case Operation(_, left, right):
-            return _names(left) | _names(right)
+            return names_of(left) | names_of(right)
         case Call(_, given):
-            return {name: None for argument in given for name in _names(argument)}
+            return {name: None for argument in given for name in names_of(argument)}
     return {}
 
 

@@ -111,6 +111,30 @@ def test_a_linear_plant_needs_one_step_and_equals_its_simulation(cart):
     assert found.rms["network"]["first"]["x"] < 1e-9 * np.ptp(run["x"])
 
 
+@pytest.mark.parametrize(
+    "wall",
+    ["-when(max(abs(x) - 0.05, 0), 40 * v)", "-when(mass, when(0, 3 * v) + 40 * v)", "-when(abs(b), 4 * v * abs(x))"],
+)
+def test_a_term_acts_in_the_network_where_its_condition_holds(cart, wall):
+    """By a level; always or never, which needs no multiplexer."""
+    damped = cart.with_term("cart", "wall", wall)
+    told = {**DIAGNOSIS, "verdict": "consistent", "effects": [], "parameters": {}}
+    run, free = (recorded(plant, 3) for plant in (damped, cart))
+    found = build(damped, {"first": run}, {}, diagnosis=told)
+    assert rms(run["x"] - free["x"]) > 0.05 * np.ptp(run["x"])
+    assert found.rms["network"]["first"]["x"] < 5e-3 * np.ptp(run["x"])
+    switched = [d for d in found.log.decisions if d.reason == "the term acts only where its condition holds"]
+    assert bool(switched) is ("max" in wall)
+
+
+def test_a_condition_that_no_network_can_tell_is_refused(cart):
+    told = {**DIAGNOSIS, "verdict": "consistent", "effects": [], "parameters": {}}
+    heavier = Plant.of("cart", {**CART, "equations": {**CART["equations"], "cart": {
+        "v": {**CART["equations"]["cart"]["v"], "storage": "mass + when(x, 0.5)"}}}})  # fmt: skip
+    with pytest.raises(InputError, match=r"cart_storage_r: the condition of when\(\): .* write it as max\(\.\.\., 0\)"):
+        build(heavier, {"first": recorded(heavier, 3)}, {}, diagnosis=told)
+
+
 COIL = {
     "step": 5e-5,
     "outputs": ["i"],

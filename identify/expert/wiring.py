@@ -6,7 +6,7 @@ no layers of their own: nothing is rounded between them.
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -24,7 +24,7 @@ from greygate.models.families.blocks import feedforward
 from greygate.models.families.library import library
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.record import Record
-from greygate.plants.expressions import Call, Name, Node, Number, Operation, Signed, names, parse
+from greygate.plants.expressions import Call, Name, Node, Number, Operation, Signed, names, names_of, parse
 from greygate.plants.functions import FUNCTIONS
 
 ROOM = 1.25  # factor of a port's scale over what is on record
@@ -365,7 +365,7 @@ class Wiring:
         """A form of the terms that are not linear: those that are exact operation by operation, the others as parts."""
         found, curves = Form(), {}
         for term, text in terms.items():
-            if is_exact(parse(text).tree):
+            if is_exact(parse(text).tree, self.plant.parameters):
                 found = found + self.built(named(f"{place}_{term}", at), parse(text).tree, at)
             else:
                 curves[term] = text
@@ -518,17 +518,16 @@ class Wiring:
         return self.made(name, name, scale, found, plain(name))
 
     def where(self, name: str, condition: Node, form: Form, at: int) -> Form:
-        """The form where a condition is not 0, else 0."""
+        """The form where a condition is not 0, else 0: always, never, or by a multiplexer where it is max(above, 0)."""
         known = linear(condition, lambda symbol: self.resolve(symbol, at))
         if known is not None and known.is_constant:
             return form if known.constant else Form()
         match condition:
             case Call("max", (above, Number(0))):
-                size: Node = above
-            case _:
-                size = Call("abs", (condition,))
-        self.log("part", plain(name), "a multiplexer", "the term acts only where its condition holds")
-        return self.chosen(name, self.built(f"{name}_if", Signed("-", size), at), Form(), form)
+                self.log("part", plain(name), "a multiplexer", "the term acts only where its condition holds")
+                return self.chosen(name, self.built(f"{name}_if", Signed("-", above), at), Form(), form)
+        why = "no network knows where it is exactly 0; write it as max(..., 0)"
+        raise InputError(f"plant {self.plant.name}: {name}: the condition of when(): {why}")
 
     def called(self, name: str, function: str, given: list[Form]) -> Form:
         if function == "tanh":
@@ -658,21 +657,26 @@ def bell(node: Node) -> Node | None:
     return None
 
 
-def is_exact(node: Node) -> bool:
-    """Whether an expression is products, sums and functions that are exact layers, or the library's."""
+def is_exact(node: Node, fixed: Collection[str]) -> bool:
+    """Whether an expression is products, sums and functions that are exact layers, or the library's.
+
+    fixed: names of parameters, of which alone a condition may be that is no level.
+    """
     match node:
         case Number() | Name():
             return True
         case Signed(_, of):
-            return is_exact(of)
+            return is_exact(of, fixed)
         case Operation("+" | "-" | "*" | "/", left, right):
-            return is_exact(left) and is_exact(right)
+            return is_exact(left, fixed) and is_exact(right, fixed)
         case Operation("**", left, Number(power)):
-            return power in range(2, HIGHEST + 1) and is_exact(left)
+            return power in range(2, HIGHEST + 1) and is_exact(left, fixed)
         case Call("exp", (of,)):
-            return (root := bell(of)) is not None and is_exact(root)
+            return (root := bell(of)) is not None and is_exact(root, fixed)
+        case Call("when", (Call("max", (above, Number(0))), of)):
+            return is_exact(above, fixed) and is_exact(of, fixed)
         case Call("when", (condition, of)):
-            return is_exact(condition) and is_exact(of)
+            return names_of(condition).keys() <= {*fixed} and is_exact(of, fixed)
         case Call("abs" | "sign" | "sin" | "cos" | "tanh" | "max" | "min" | "smooth_step", given):
-            return all(is_exact(of) for of in given)
+            return all(is_exact(of, fixed) for of in given)
     return False
