@@ -16,12 +16,12 @@ demo: $(VENV)/.ready | tools
 	@echo "open $(OUT)/cart/index.html; the Verilog is in $(OUT)/cart/compile/build/rtl"
 
 test: $(VENV)/.ready-dev | tools
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not nightly"
+	$(BIN)/pytest -n 2 --dist loadfile -m "not nightly"
 
 # What is slow and seldom alone in finding something: fuzz, browsers, random hardware and rigs, every fault of writing, the
 # commands of all pages; then what holds floats once more on an old processor.
 nightly: $(VENV)/.ready-nightly docs | tools
-	GREYGATE_FUZZ=10000 GREYGATE_FAULTS=all $(BIN)/python -m pytest -n 2 -m nightly
+	GREYGATE_FUZZ=10000 GREYGATE_FAULTS=all $(BIN)/pytest -n 2 -m nightly
 	$(BIN)/python -m benchmarks made
 	$(MAKE) --no-print-directory test-old test-elsewhere
 
@@ -29,12 +29,12 @@ nightly: $(VENV)/.ready-nightly docs | tools
 # Verilog, C and what is made of it, browsers, wrong uses, files that break and strangers that break in.
 test-old: $(VENV)/.ready-dev | tools
 	$(BIN)/python -m benchmarks processors --setting "old BLAS and numpy" --run \
-	  "$(BIN)/python -m pytest -n 2 $(patsubst %,--ignore=tests/test_%.py,$(NO_FLOATS))"
+	  "$(BIN)/pytest -n 2 $(patsubst %,--ignore=tests/test_%.py,$(NO_FLOATS))"
 
 # The same on a system that lacks what Windows lacks, as far as Linux can (tests/elsewhere). pytest asks it for no user's
 # name where it is given a folder.
 test-elsewhere: $(VENV)/.ready-dev | tools
-	LOKY_MAX_CPU_COUNT=2 PYTHONPATH=tests/elsewhere $(BIN)/python -m pytest -n 2 --dist loadfile -m "not nightly" \
+	LOKY_MAX_CPU_COUNT=2 PYTHONPATH=tests/elsewhere $(BIN)/pytest -n 2 --dist loadfile -m "not nightly" \
 	  --basetemp=build/elsewhere
 
 # The pages as a site, build/site/index.html. A link that leads nowhere stops it.

@@ -6,21 +6,28 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 
 from markupsafe import Markup
 
 from greygate import schemas
 from greygate.compiler.explore import Request, told
 from greygate.compiler.verilog import holdable
+from greygate.contents import contents
+from greygate.control.choices import Case, Method, Place
+from greygate.control.own import Machine
 from greygate.errors import InputError
 from greygate.files import making, replacing
 from greygate.hardware.build import LATER, Project
+from greygate.hardware.controlled import driven, table, written
 from greygate.hardware.exploring import Explorer, requested
 from greygate.identify.expert.building import DIAGNOSING, TESTED, parts_of, upto
 from greygate.identify.expert.diagnosed import asked as ask
 from greygate.identify.expert.diagnosed import correct, only
 from greygate.identify.expert.files import RIG, build_files, read
 from greygate.identify.expert.task import Task
+from greygate.machines.asked import Wishes, columns_of
+from greygate.machines.asked import of as tracking
 from greygate.machines.source import Source
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.simulation import read as read_diagnosis
@@ -29,6 +36,7 @@ from greygate.pages import story
 from greygate.pages.units import display, number
 from greygate.pages.validation.judged import advice, judge, long_run
 from greygate.plain import json_text, plain
+from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording, run_name
 from greygate.plants.written import entries, text
 from greygate.progress import Budget, Progress, silent
@@ -36,16 +44,31 @@ from greygate.project import compile_project, verify_project
 from greygate.reporting import study_of
 from greygate.steps import NOTHING, Done, Steps, Told
 
-KIND, PAGE = "make", "index.html"
+KIND, PAGE, CONTROL = "make", "index.html", "control"
 PICTURE, FITTED = "picture.html", "fitted.html"  # in the folder of a step: what the page shows of it, or the next
 DIAGNOSIS, FIGURES, BUILD, REPORT = "diagnosis.json", "validation.json", "build", "report.json"
+TABLE, HARDWARE = "control.json", "network, Verilog"  # of controllers, the last of which is that
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """What the corrected plant is to do. reference: file of what its outputs are to be.
+
+    limits: signal -> (low, high); an input that has none stays within what is on record. rates: input -> its largest
+    change in a second.
+    """
+
+    reference: Path
+    limits: Mapping[str, tuple[float, float]]
+    rates: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Asked:
     """What is to be made. where: PLANT.toml or a rig. sensors: as of `Task`. error: allowed to fixed point.
 
-    recordings: name -> to learn from; held: to judge by; where there is none, the end of the others judges.
+    recordings: name -> to learn from; held: to judge by; where there is none, the end of the others judges. track: what
+    it is to do under control, if anything.
     """
 
     where: Path
@@ -56,11 +79,12 @@ class Asked:
     request: Request
     error: str
     seconds: float
+    track: Tracking | None = None
 
     @classmethod
     def of(
         cls, where: Path, files: Mapping[str, str], tests: Mapping[str, str], sensors: Sequence[str],
-        targets: Sequence[str], device: str, error: str, seconds: float,
+        targets: Sequence[str], device: str, error: str, seconds: float, track: Tracking | None = None,
     ) -> "Asked":  # fmt: skip
         """Read all of it. Without tests the last of several recordings is held out. Raises InputError."""
         if not files:
@@ -78,7 +102,10 @@ class Asked:
         request = requested(device, {t: task.plant.unit(t) for t in task.targets}, error)
         kept = {n: only(r, (*task.inputs, *task.targets)) for n, r in found.items()}
         learnt, held = ({n: kept[n] for n in each} for each in (files, tests))
-        return cls(where, task, learnt, held, sensors, request, error, seconds)
+        made = cls(where, task, learnt, held, sensors, request, error, seconds, track)
+        if track:  # minutes before the plant is corrected
+            machine(made, task.plant, where)
+        return made
 
     @property
     def judges(self) -> Sequence[str]:
@@ -99,6 +126,11 @@ class Asked:
         written = {p.name: p.read_text(encoding="utf-8") for p in beside if p.exists()}
         return {"plant": entries(self.task.plant), "rig": written, "sensors": [*self.sensors],
                 "outputs": [*self.task.targets], "seconds": self.seconds}  # fmt: skip
+
+    def on_record(self, name: str) -> tuple[float, float]:
+        """The range of a channel over what is learnt from."""
+        values = [r[name] for r in self.recordings.values()]
+        return float(min(v.min() for v in values)), float(max(v.max() for v in values))
 
     def shown(self, output: str, value: float | None) -> str:
         """An error of an output with its unit."""
@@ -147,10 +179,15 @@ def make(
         "diagnose": asked.facts,
         "compile": {"device": asked.request.device, "error": asked.error},
     }
+    if asked.track:
+        reference = hashlib.sha256(contents(asked.track.reference)).hexdigest()
+        given[CONTROL] = {**vars(asked.track), "reference": reference}
     steps = Steps(out, KIND, STEPS, [PAGE], progress)
     with making(out):
         try:
             for name, (_, work) in STEPS.items():
+                if name == CONTROL and not asked.track:
+                    continue
                 later = f"{BUILD}/({LATER})" if name == "compile" else NOTHING
                 finished(steps.do(name, partial(work, asked, out), given.get(name, {}), later))
         finally:
@@ -273,6 +310,40 @@ def _verify(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     return Told(f"0 bits differ in {sum(v.steps for v in verdicts)} steps; {asked.errs(fixed)}", REPORT)
 
 
+def machine(asked: Asked, plant: Plant, where: Path, noise: Mapping[str, float] = MappingProxyType({})) -> Machine:
+    """A plant that is to track the reference, of the file `where`. noise: of its outputs, RMS.
+
+    Raises InputError as `machines.asked.asked`, and where the network reads what the plant does not compute.
+    """
+    assert asked.track, "nobody asks for a machine without a reference"
+    if asked.sensors:
+        why = f"{', '.join(asked.sensors)} drives the corrected plant as it was measured"
+        raise InputError(f"--control: {why}, and nothing says what it would be; leave --sensor out")
+    free = [n for n in asked.task.inputs if n not in columns_of(asked.track.reference)]
+    ranges = {n: asked.on_record(n) for n in free}
+    wishes = Wishes(ranges | dict(asked.track.limits), asked.track.rates)
+    return tracking(where, plant, noise, asked.track.reference, wishes)
+
+
+def _control(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
+    plant, fit = out / "correct" / f"{asked.task.plant.name}.toml", read_diagnosis(out / "diagnose" / DIAGNOSIS)["fit"]
+    noise = {channel: errors["corrected"] for channel, errors in fit["identify"].items()}
+    chosen = machine(asked, Plant.read(plant), plant, noise)
+    done = table(chosen, Method.NETWORK, Place.RTL, progress)
+    for cases in done.found["rows"].values():
+        for run in cases.values():
+            run.pop("microseconds", None)  # they are others in each run
+    written(chosen, done, new)
+    (new / TABLE).write_text(schemas.text("control-own", plain(done.found)), encoding="utf-8", newline="\n")
+    _draw(new, story.controlled(done.found, driven(chosen, done.last[Case.NOMINAL])))
+    rows, bits = done.found["rows"], done.found["network"]["differing_bits"]
+    errors = {name: {t: e["rms"] for t, e in rows[name][Case.NOMINAL]["errors"].items()} for name in rows}
+    said = [f"{t} errs by {asked.shown(t, errors[HARDWARE][t])} under a network in Verilog, "
+            f"{asked.shown(t, errors['predictive'][t])} under predictive control, {asked.shown(t, errors['PI'][t])} "
+            "under PI" for t in done.found["units"]]  # fmt: skip
+    return Told(f"{'; '.join(said)}; {bits} bits differ", TABLE, not bits)
+
+
 STEPS: dict[str, tuple[str, Callable[[Asked, Path, Path, Progress], Told]]] = {  # name -> its heading, its work
     "look": ("What was recorded", _look),
     "diagnose": ("What the plant leaves out", _diagnose),
@@ -281,4 +352,5 @@ STEPS: dict[str, tuple[str, Callable[[Asked, Path, Path, Progress], Told]]] = { 
     "validate": ("How it predicts what it has not seen", _validate),
     "compile": ("The design on the FPGA", _compile),
     "verify": ("The Verilog, bit for bit", _verify),
+    CONTROL: ("The corrected plant under control", _control),
 }

@@ -45,7 +45,7 @@ class ControlCase(TypedDict):
 
     errors: Annotated[dict[str, Tracked], "Output -> its error."]
     limits: Annotated[dict[str, Count], "Limit -> samples in which it was broken."]
-    microseconds: float
+    microseconds: NotRequired[float]
 
 
 class Imitating(TypedDict):
@@ -211,17 +211,20 @@ def checked(machine: Machine, out: Path) -> None:
     _ = Recording(machine.period, {p.name: np.zeros(1) for p in ports}, {p.name: p.unit for p in ports}).header
 
 
-def written(machine: Machine, done: Table, out: Path) -> None:
-    """CASE.csv of the last controller; of a network itself and, to be compiled with, what it reads and answers."""
+def driven(machine: Machine, run: Run) -> Recording:
+    """A run as a recording: signals, inputs and what the outputs were to be."""
     units = {p.name: p.unit for p in (*machine.signals, *machine.drives)}
     units |= {f"reference_{n}": units[n] for n in machine.tracked}
+    channels = dict(run.signals) | {p.name: v for p, v in zip(machine.drives, run.input.T, strict=True)}
+    channels |= {f"reference_{n}": run.signals[n] - e for n, e in zip(machine.tracked, run.error.T, strict=True)}
+    return Recording(machine.period, channels, units)
+
+
+def written(machine: Machine, done: Table, out: Path) -> None:
+    """CASE.csv of the last controller; of a network itself and, to be compiled with, what it reads and answers."""
     with making(out), writing(out):
         for case, run in done.last.items():
-            channels = dict(run.signals) | {p.name: v for p, v in zip(machine.drives, run.input.T, strict=True)}
-            channels |= {
-                f"reference_{n}": run.signals[n] - e for n, e in zip(machine.tracked, run.error.T, strict=True)
-            }
-            Recording(machine.period, channels, units).write_csv(out / f"{case}.csv")
+            driven(machine, run).write_csv(out / f"{case}.csv")
         if done.network is None:
             return
         network, records = done.network.network, read_and_answered(machine, done.network)

@@ -43,10 +43,21 @@ def is_machine(name: str) -> bool:
 
 
 def asked(where: Path, track: Path, wishes: Wishes) -> Machine:
-    """Raises InputError naming what does not fit: names, units, empty limits, a reference that does not move."""
-    columns = {c.name: c.unit for c in read_channels(track, unitless="1")}
-    what, noise = _read(where, columns)
-    units = _units(what)
+    """The machine of a file or a rig's folder. Raises InputError as `of`, and for what cannot be read."""
+    return of(where, *_read(where, columns_of(track)), track, wishes)
+
+
+def columns_of(track: Path) -> dict[str, str]:
+    """Column of a reference -> its unit. Raises InputError for what cannot be read."""
+    return {c.name: c.unit for c in read_channels(track, unitless="1")}
+
+
+def of(where: Path, what: Plant | Network, noise: Mapping[str, float], track: Path, wishes: Wishes) -> Machine:
+    """What stands in the file `where`, as a machine. noise: of its sensors, as a rig tells it.
+
+    Raises InputError naming what does not fit: names, units, empty limits, a reference that does not move.
+    """
+    columns, units = columns_of(track), _units(what)
     if missing := sorted(columns.keys() - units.keys()):
         raise InputError(f"{track}: column {missing[0]} is no signal of {where}; it has {', '.join(units)}")
     reference = read_recording(track, {n: units[n] for n in columns})
@@ -60,9 +71,8 @@ def asked(where: Path, track: Path, wishes: Wishes) -> Machine:
     names += [n for n in wishes.limits if n in outputs and n not in names]
     limits = _limits(wishes, drives, reference.dt)
     acting = {n: reference[n] for n in columns if n in inputs}
-    sensors = {
-        n: (noise | _rough(wishes.noisy, measured) | dict(wishes.noise)).get(n, 0.0) for n in names if n in measured
-    }
+    noisy = {**noise, **_rough(wishes.noisy, measured), **wishes.noise}
+    sensors = {n: noisy.get(n, 0.0) for n in names if n in measured}
 
     def truth(seed: int | None) -> Model:
         return _model(what if seed is None else _drawn(what, seed), drives, names, reference.dt)
@@ -72,13 +82,13 @@ def asked(where: Path, track: Path, wishes: Wishes) -> Machine:
         model = model.faster(*_probed(model, limits))
     ports = [_drive(n, units[n], *wishes.limits[n]) for n in drives]
     signals = [Port(n, units[n]) for n in names]
-    columns_of = np.stack([reference[n] for n in tracked], axis=1)
+    wanted = np.stack([reference[n] for n in tracked], axis=1)
     if still := [n for n in tracked if np.ptp(reference[n]) == 0]:
         raise InputError(
             f"{track}: {still[0]} does not move; begin where the machine rests, so that errors have a size"
         )
     return Machine(where.stem or where.resolve().name, reference.dt, truth, model, ports, signals, sensors, tracked,
-                   limits, columns_of, acting)  # fmt: skip
+                   limits, wanted, acting)  # fmt: skip
 
 
 def _read(where: Path, columns: Mapping[str, str]) -> tuple[Plant | Network, dict[str, float]]:

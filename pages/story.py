@@ -6,6 +6,7 @@ from dataclasses import replace
 from markupsafe import Markup
 
 from greygate.compiler.study import Explored
+from greygate.hardware.controlled import Controlled
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.pages import templates
 from greygate.pages.diagnosis.residual import Diagnosed
@@ -77,3 +78,20 @@ def verified(study: dict, held: Collection[str]) -> Markup:
     """The run of the hardware on what was held out, beside float and what was recorded."""
     fresh = {**study, "scenarios": {n: s for n, s in study["scenarios"].items() if n in held}}
     return Markup("").join(templates.render_sections((report.head, report.runs), fresh))
+
+
+def controlled(found: Controlled, nominal: Recording) -> Markup:
+    """The errors of every controller by what disturbs, and the signals of the last one undisturbed."""
+    rows = []
+    for name, cases in found["rows"].items():
+        for output, unit in found["units"].items():
+            worst = max(run["errors"][output]["worst"] for run in cases.values())
+            factor, label = display(unit, worst)
+            errors = [
+                f"{number(factor * run['errors'][output]['rms'])} / {number(factor * run['errors'][output]['worst'])}"
+                for run in cases.values()
+            ]
+            broken = sum(sum(run["limits"].values()) for run in cases.values())
+            rows.append({"by": name, "output": f"{output} [{label or 1}]", "errors": errors, "broken": broken})
+    disturbed = [*next(iter(found["rows"].values()))]
+    return templates.render("controlled.html", rows=rows, cases=disturbed) + recorded(nominal)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -10,6 +11,9 @@ import pytest
 from checking import valid_files
 
 from greygate import make, steps
+from greygate.control.choices import Method, Place
+from greygate.errors import InputError
+from greygate.hardware import controlled
 from greygate.mismatch.model import Model
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
@@ -121,6 +125,55 @@ def test_a_step_of_which_something_changed_is_done_again_with_those_after_it(wor
     assert (code, again(printed)) == (0, NAMES[:5])
 
 
+@pytest.fixture
+def reference(tmp_path) -> Path:
+    """What the lag's output is to be."""
+    y = 0.2 * (1 - np.cos(0.2 * np.arange(60)))
+    Recording(0.1, {"y": y}, {"y": "V"}).write_csv(tmp_path / "track.csv")
+    return tmp_path / "track.csv"
+
+
+def test_the_corrected_plant_is_controlled_within_what_is_on_record(world, copy, greygate, monkeypatch, reference):
+    """The other controllers take a minute: here they are the PI."""
+    seen = []
+
+    def only_pi(machine, method, place, progress):
+        seen.append((machine, method, place))
+        done = controlled.table(machine, Method.PI, Place.FLOAT, progress)
+        done.found["rows"] |= {"predictive": done.found["rows"]["PI"], make.HARDWARE: done.found["rows"]["PI"]}
+        done.found["network"] = {"apart": {}, "matches": True, "neurons": 10, "said": "so", "differing_bits": bits}
+        return done
+
+    monkeypatch.setattr(make, "table", only_pi)
+    words = arguments(world, copy, "--control", str(reference), "--rate", "u=50", "--json")
+    for bits, code in ((0, 0), (3, 1)):
+        got, printed, error = greygate(*words)
+        assert (got, again(printed)) == (code, NAMES), error
+        told = json.loads(printed)["steps"][-1]
+        assert (told["step"], told["yes"]) == ("control", not bits)
+        assert f"under PI; {bits} bits differ" in told["figure"]
+        if bits == 0:
+            assert again(greygate(*words)[1]) == [*NAMES, "control"]
+            words += ["--limits", "u=-0.9:0.9"]
+    (machine, method, place), (other, *_) = seen
+    first = make.read(world / "lag.toml", {"first": str(world / "first.csv")})[1]["first"]["u"]
+    assert (machine.limits.low, machine.limits.high) == (first.min(), first.max())
+    assert (other.limits.low, other.limits.high, other.limits.rate) == (-0.9, 0.9, 5.0)
+    assert 5e-4 < machine.noise["y"] < 2e-3  # V; what the corrected plant leaves
+    assert (method, place) == (Method.NETWORK, Place.RTL)
+    table = json.loads((copy / "control" / "control.json").read_text())
+    assert "microseconds" not in table["rows"]["PI"]["load"]
+    page = (copy / "index.html").read_text()
+    assert "RMS / worst, supply" in page
+
+
+def test_a_plant_that_is_driven_by_a_sensor_is_not_controlled(world, tmp_path, reference):
+    asked = make.Asked.of(world / "lag.toml", {"first": str(world / "first.csv")}, {}, (), (), "up5k", "1.1x", 1.0)
+    asked = replace(asked, sensors=("y",), track=make.Tracking(reference, {}, {}))
+    with pytest.raises(InputError, match="--control: y drives the corrected plant as it was measured"):
+        make.machine(asked, asked.task.plant, world / "lag.toml")
+
+
 def test_another_version_does_all_again(world, copy, greygate, monkeypatch):
     monkeypatch.setattr(make, "STEPS", {"look": make.STEPS["look"]})
     for name in NAMES[1:]:
@@ -184,6 +237,9 @@ def test_the_last_of_several_recordings_is_held_out_and_the_end_of_a_single_one(
         (["--output", "z"], "plant lag: has no signal z; it has y"),
         (["--test", "FIRST"], "first is both a recording to learn from and one to judge by"),
         (["--out", "HERE"], "holds first.csv, which greygate make did not write; give a new folder"),
+        (["--limits", "u=-1:1"], "are of a controller; give --control REFERENCE.csv, or leave them out"),
+        (["--control", "FIRST"], "no input has limits; give --limits NAME=LOW:HIGH of each that is controlled"),
+        (["--control", "FIRST", "--limits", "u=-1:1"], "column u is controlled, and cannot be given; leave one out"),
     ],
 )
 def test_what_cannot_be_made_is_refused_before_anything_is_written(world, tmp_path, greygate, given, says):

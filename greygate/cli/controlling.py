@@ -30,10 +30,8 @@ def control(
     track: Annotated[
         Path | None, typer.Option(metavar="REFERENCE.csv", help="What outputs are to be; what other inputs are.")
     ] = None,
-    limits: Annotated[
-        list[str], typer.Option(metavar="NAME=LOW:HIGH", help="Of a controlled input, an output, a state.")
-    ] = [],
-    rate: Annotated[list[str], typer.Option(metavar="NAME=PER_S", help="Largest change of an input in a second.")] = [],
+    limits: Annotated[list[str], words.LIMITS] = [],
+    rate: Annotated[list[str], words.RATE] = [],
     noise: Annotated[list[str], typer.Option(metavar="NAME=RMS", help="Noise of a sensor, in its unit.")] = [],
     network: Annotated[
         Path | None, typer.Option(metavar="NETWORK.toml", help="Predicts in place of the plant.")
@@ -76,9 +74,8 @@ def _own(
 
     if track is None:
         raise InputError(f"{where}: what is it to track? give --track REFERENCE.csv")
-    ranges = dict(_pair("limits", text) for text in limits)
-    rates, sizes = ({n: v for n, (v, _) in (_pair(o, t, 1) for t in g)} for o, g in (("rate", rate), ("noise", noise)))
-    chosen = asked(where, track, Wishes(ranges, rates, sizes, recording, network))
+    wishes = Wishes(ranges(limits), numbers("rate", rate), numbers("noise", noise), recording, network)
+    chosen = asked(where, track, wishes)
     if out is not None:
         checked(chosen, out)
     with following(f"control of {chosen.name}") as progress:
@@ -87,6 +84,16 @@ def _own(
         written(chosen, done, out)
     bits = done.found.get("network", {}).get("differing_bits", 0)
     give("control-own", done.found, as_json, [*_table(done.found), *([f"written to {out}"] if out else [])], not bits)
+
+
+def ranges(limits: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Of --limits NAME=LOW:HIGH; an end that is left out is infinite. Raises InputError."""
+    return dict(_pair("limits", text) for text in limits)
+
+
+def numbers(option: str, given: Sequence[str]) -> dict[str, float]:
+    """Of an option NAME=VALUE. Raises InputError."""
+    return {name: value for name, (value, _) in (_pair(option, text, 1) for text in given)}
 
 
 def _pair(option: str, text: str, numbers: int = 2) -> tuple[str, tuple[float, float]]:

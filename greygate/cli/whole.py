@@ -7,6 +7,7 @@ import typer
 
 from greygate.cli import words
 from greygate.cli.terminal import Json, following, give, recordings, say
+from greygate.errors import InputError
 
 if TYPE_CHECKING:
     from greygate.cli.printed import Making
@@ -25,6 +26,11 @@ def make(
     sensor: Annotated[list[str], words.SENSOR] = [],
     output: Annotated[list[str], words.OUTPUT] = [],
     max_error: Annotated[str, words.MAX_ERROR] = GROWTH,
+    control: Annotated[
+        Path | None, typer.Option(metavar="REFERENCE.csv", help="Control it, too: what outputs are to be.")
+    ] = None,
+    limits: Annotated[list[str], words.LIMITS] = [],
+    rate: Annotated[list[str], words.RATE] = [],
     seconds: Annotated[float, words.SECONDS] = float("inf"),
     as_json: Json = False,
 ) -> None:
@@ -32,15 +38,21 @@ def make(
 
     It looks, diagnoses, corrects the plant, builds a network, validates, compiles and verifies it, each in a folder of
     its own, and tells all of it on one page. Run again, it does only what has changed or was cut off. Without --test
-    the last of several recordings judges, or the last fifth of a single one; a rig brings its own. Exit code 1 if a
-    step says no.
+    the last of several recordings judges, or the last fifth of a single one; a rig brings its own. With --control the
+    corrected plant is controlled, last by a network in Verilog; an input without --limits stays within what is on
+    record. Exit code 1 if a step says no.
     """
+    from greygate.cli.controlling import numbers, ranges
     from greygate.compiler.explore import Unmet
-    from greygate.make import PAGE, Asked
+    from greygate.make import PAGE, Asked, Tracking
     from greygate.make import make as run
     from greygate.pages.summary import aligned
 
-    asked = Asked.of(plant, recordings(record), recordings(test), sensor, output, target.value, max_error, seconds)
+    if (limits or rate) and control is None:
+        raise InputError("--limits and --rate are of a controller; give --control REFERENCE.csv, or leave them out")
+    track = Tracking(control, ranges(limits), numbers("rate", rate)) if control else None
+    tests = recordings(test)
+    asked = Asked.of(plant, recordings(record), tests, sensor, output, target.value, max_error, seconds, track)
     done: list[Done] = []
 
     def finished(one: "Done") -> None:
