@@ -9,11 +9,12 @@ import pytest
 from greygate.mismatch import coloured_selection
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.coloured import Coloured, resized
-from greygate.mismatch.coloured_selection import ALIKE, ColouredSelection, _foretells, quicker
+from greygate.mismatch.coloured_selection import ALIKE, SURE, ColouredSelection, _foretells, quicker, selected
+from greygate.mismatch.effects import known
 from greygate.mismatch.entries import Effect, Free
 from greygate.mismatch.fit import Likelihood, Unknown
 from greygate.mismatch.model import Model
-from greygate.mismatch.search import Hypothesis, Score
+from greygate.mismatch.search import Hypothesis, Score, Search
 from greygate.plants.expressions import summands
 from greygate.plants.plant import Plant
 from greygate.plants.simulator import Restarted, simulate
@@ -190,3 +191,32 @@ def test_a_run_is_fitted_in_full_once(monkeypatch):
     found = [selection._fitted(None, Hypothesis(("a",)), run).of for run in (first, first, better)]
     assert found == [first.values, first.values, better.values]
     assert len(full) == 2
+
+
+def test_a_first_effect_is_fitted_from_the_data_sheet_on_where_something_is_left(tmp_path):
+    """What was calibrated without it makes up for it, and may hold its fit in a local minimum."""
+    (tmp_path / "slide.toml").write_text(PLANT)
+    (tmp_path / "rig.toml").write_text(RIG)
+    real = Plant.read(tmp_path / "slide.toml").with_term("motion", "dry", "-12 * tanh(v / 0.005)")
+    rng = np.random.default_rng(2)
+    force = 80 * np.repeat(rng.standard_normal(SAMPLES // 10), 10)
+    x = simulate(real, {"force": force}, sample_time=0.012, step=1e-3)["x"] + 1e-5 * rng.standard_normal(SAMPLES)
+    table = np.column_stack([np.arange(SAMPLES) * 0.012, force, x])
+    np.savetxt(tmp_path / "identify.csv", table, delimiter=",", header="t,force,x", comments="", fmt="%.10g")
+    rig = rigs.load(tmp_path)
+    recording = rig.to_explain()
+    search = Search(rig, recording, {k: e for k, e in known(rig, recording).items() if e.id == "dry_friction"})
+    selection, best = selected(search), Hypothesis((next(iter(search.effects)),))
+    right = selection.fitted(selection.plain, best, {})
+    stuck = right.likelihood.fit(right.unknowns, {**right.values, "mass": 25.0, "viscous": 420.0}, iterations=0)
+    assert selection._anew(best, right) is right  # nothing is left
+    better = selection._anew(best, stuck)
+    assert better.cost < stuck.cost - SURE
+    assert better.cost < right.cost + SURE
+    assert abs(better.values["mass"] - 20.0) < 0.1
+    assert selection.fits[best] is better
+    kept = selection.exchanged(best, stuck)
+    assert kept[0] == best
+    assert kept[1].cost < stuck.cost - SURE
+    search.budget.stop()
+    assert selection._anew(best, stuck) is stuck
