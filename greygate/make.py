@@ -19,14 +19,14 @@ from greygate.control.own import Machine
 from greygate.errors import InputError
 from greygate.files import making, replacing
 from greygate.hardware.build import LATER, Project
-from greygate.hardware.controlled import driven, table, written
+from greygate.hardware.controlled import driven, storable, table, written
 from greygate.hardware.exploring import Explorer, requested
 from greygate.identify.expert.building import DIAGNOSING, TESTED, parts_of, upto
+from greygate.identify.expert.diagnosed import Corrected, correct, only
 from greygate.identify.expert.diagnosed import asked as ask
-from greygate.identify.expert.diagnosed import correct, only
 from greygate.identify.expert.files import RIG, build_files, read
 from greygate.identify.expert.task import Task
-from greygate.machines.asked import Wishes, columns_of
+from greygate.machines.asked import Wishes, columns_of, rough
 from greygate.machines.asked import of as tracking
 from greygate.machines.source import Source
 from greygate.mismatch.rig import Rig
@@ -104,7 +104,7 @@ class Asked:
         learnt, held = ({n: kept[n] for n in each} for each in (files, tests))
         made = cls(where, task, learnt, held, sensors, request, error, seconds, track)
         if track:  # minutes before the plant is corrected
-            machine(made, task.plant, where)
+            storable(machine(made, task.reduced, where))
         return made
 
     @property
@@ -181,7 +181,8 @@ def make(
     }
     if asked.track:
         reference = hashlib.sha256(contents(asked.track.reference)).hexdigest()
-        given[CONTROL] = {**vars(asked.track), "reference": reference}
+        limits, rates = (dict(sorted(each.items())) for each in (asked.track.limits, asked.track.rates))
+        given[CONTROL] = {"reference": reference, "limits": limits, "rates": rates}
     steps = Steps(out, KIND, STEPS, [PAGE], progress)
     with making(out):
         try:
@@ -240,7 +241,7 @@ def _correct(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     diagnosis = read_diagnosis(out / "diagnose" / DIAGNOSIS)
     found = correct(asked.task, asked.heads, diagnosis)
     remarks = [f"{where}: {what}, {why}" for where, what, why in found.said]
-    absent = ", ".join({**found.filters, **found.readings})
+    absent = _absent(found)
     remarks += [f"not in this file: what the diagnosis says of {absent}, which no term can say"] if absent else []
     name = f"{asked.task.plant.name}.toml"
     (new / name).write_text(text(found.plant, "\n".join(remarks)), encoding="utf-8", newline="\n")
@@ -249,6 +250,11 @@ def _correct(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     before, after = ({t: asked.shown(t, e[who]) for t, e in fit.items()} for who in ("simulation", "corrected"))
     said = "; ".join(f"{t} errs by {before[t]} with the data sheet, {after[t]} corrected" for t in fit)
     return Told(f"{said}; not in the file: {absent}" if absent else said, name)
+
+
+def _absent(found: Corrected) -> str:
+    """The inputs and sensors of which a corrected plant's file does not say all, and effects that it leaves out."""
+    return ", ".join([*{**found.filters, **found.readings}, *found.left])
 
 
 def _files(asked: Asked, out: Path) -> tuple[dict[str, str], dict[str, str]]:
@@ -319,16 +325,22 @@ def machine(asked: Asked, plant: Plant, where: Path, noise: Mapping[str, float] 
     if asked.sensors:
         why = f"{', '.join(asked.sensors)} drives the corrected plant as it was measured"
         raise InputError(f"--control: {why}, and nothing says what it would be; leave --sensor out")
-    free = [n for n in asked.task.inputs if n not in columns_of(asked.track.reference)]
-    ranges = {n: asked.on_record(n) for n in free}
+    free = {*asked.task.inputs} - {*columns_of(asked.track.reference)} - {*asked.track.limits}
+    ranges = {n: asked.on_record(n) for n in asked.task.inputs if n in free}
+    if still := [n for n, (low, high) in ranges.items() if low == high]:
+        why = f"{still[0]} does not move on record; give --limits {still[0]}=LOW:HIGH, or a column of REFERENCE.csv"
+        raise InputError(f"--control: {why}")
     wishes = Wishes(ranges | dict(asked.track.limits), asked.track.rates)
     return tracking(where, plant, noise, asked.track.reference, wishes)
 
 
 def _control(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
-    plant, fit = out / "correct" / f"{asked.task.plant.name}.toml", read_diagnosis(out / "diagnose" / DIAGNOSIS)["fit"]
-    noise = {channel: errors["corrected"] for channel, errors in fit["identify"].items()}
-    chosen = machine(asked, Plant.read(plant), plant, noise)
+    plant, diagnosis = out / "correct" / f"{asked.task.plant.name}.toml", read_diagnosis(out / "diagnose" / DIAGNOSIS)
+    left = diagnosis["fit"]["identify"]
+    noise = rough(next(iter(asked.recordings.values())), [*left])
+    noise = {c: min(size, left[c]["corrected"] or size) for c, size in noise.items()}  # that of a free run drifts, too
+    told = {n: c.noise for n, c in asked.task.rig.channels.items() if n in noise and c.noise} if asked.task.rig else {}
+    chosen = machine(asked, Plant.read(plant), plant, noise | told)
     done = table(chosen, Method.NETWORK, Place.RTL, progress)
     for cases in done.found["rows"].values():
         for run in cases.values():
@@ -338,9 +350,11 @@ def _control(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     _draw(new, story.controlled(done.found, driven(chosen, done.last[Case.NOMINAL])))
     rows, bits = done.found["rows"], done.found["network"]["differing_bits"]
     errors = {name: {t: e["rms"] for t, e in rows[name][Case.NOMINAL]["errors"].items()} for name in rows}
+    absent = _absent(correct(asked.task, asked.heads, diagnosis))
     said = [f"{t} errs by {asked.shown(t, errors[HARDWARE][t])} under a network in Verilog, "
             f"{asked.shown(t, errors['predictive'][t])} under predictive control, {asked.shown(t, errors['PI'][t])} "
             "under PI" for t in done.found["units"]]  # fmt: skip
+    said += [f"controlled without {absent}, which the plant's file does not say"] if absent else []
     return Told(f"{'; '.join(said)}; {bits} bits differ", TABLE, not bits)
 
 

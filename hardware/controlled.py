@@ -207,6 +207,11 @@ def checked(machine: Machine, out: Path) -> None:
     """Raise InputError where the results of a machine cannot be written to a folder."""
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is not a folder; give another one")
+    storable(machine)
+
+
+def storable(machine: Machine) -> None:
+    """Raise InputError where a signal of a machine has no header in a recording."""
     ports = [*machine.signals, *machine.drives]
     _ = Recording(machine.period, {p.name: np.zeros(1) for p in ports}, {p.name: p.unit for p in ports}).header
 

@@ -1,6 +1,6 @@
 """A machine to be controlled, from files: a plant, a rig or a network, and the reference that it is to track."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -65,6 +65,9 @@ def of(where: Path, what: Plant | Network, noise: Mapping[str, float], track: Pa
     drives = [n for n in inputs if n in wishes.limits]
     tracked = [n for n in columns if n in outputs]
     _check(where, track, wishes, units, drives, columns, tracked)
+    if stray := [n for n in columns if n not in inputs and n not in outputs]:
+        raise InputError(f"{track}: column {stray[0]} is no output of {where}, and cannot be tracked; leave it out")
+    _check_derived(where, what, {*drives, *columns})
     predicts = what if wishes.network is None else _network(wishes.network, drives, units)
     measured = [n for n in outputs if n in _outputs(predicts)] if wishes.network else list(outputs)
     names = [*dict.fromkeys([*tracked, *measured]), *(n for n in wishes.limits if n not in (*inputs, *outputs))]
@@ -136,6 +139,15 @@ def _check(
         raise InputError(f"{track}: no column is an output of {where}; name one to track")
 
 
+def _check_derived(where: Path, what: Plant | Network, moved: Collection[str]) -> None:
+    """Raise InputError where an input that is derived from another would stand still while that one moves."""
+    for name, how in what.derived.items() if isinstance(what, Plant) else ():
+        source = how.split()[-1]
+        if name not in moved and (source in moved or source not in what.inputs):
+            raise InputError(f"{where}: {name} is the {how}, which nothing computes under control; write {source} as a "
+                             "state whose rate is an input")  # fmt: skip
+
+
 def _limits(wishes: Wishes, drives: Sequence[str], period: float) -> Limits:
     for name, (low, high) in wishes.limits.items():
         if not low < high:
@@ -179,10 +191,11 @@ def _drawn(what: Plant | Network, seed: int) -> Plant | Network:
 
 
 def _rough(noisy: Path | None, names: Sequence[str]) -> dict[str, float]:
+    return {} if noisy is None else rough(read_recording(noisy), names)
+
+
+def rough(found: Recording, names: Sequence[str]) -> dict[str, float]:
     """Standard deviation of the noise of the channels of a recording, by how rough they are."""
-    if noisy is None:
-        return {}
-    found: Recording = read_recording(noisy)
     tiny = {n: float(np.ptp(found[n])) * 1e-9 or 1.0 for n in names if n in found.channels}
     return {n: size * roughness(found[n], size) for n, size in tiny.items()}
 

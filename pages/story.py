@@ -1,5 +1,6 @@
 """The page of `greygate make`: what each step found, with the pictures of that step's own page."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
@@ -85,13 +86,14 @@ def controlled(found: Controlled, nominal: Recording) -> Markup:
     rows = []
     for name, cases in found["rows"].items():
         for output, unit in found["units"].items():
-            worst = max(run["errors"][output]["worst"] for run in cases.values())
-            factor, label = display(unit, worst)
-            errors = [
-                f"{number(factor * run['errors'][output]['rms'])} / {number(factor * run['errors'][output]['worst'])}"
-                for run in cases.values()
-            ]
+            runs = [run["errors"][output] for run in cases.values()]
+            factor, label = display(unit, max(run["worst"] for run in runs))
+            errors = [" / ".join(_finite(factor * run[of]) for of in ("rms", "worst")) for run in runs]
             broken = sum(sum(run["limits"].values()) for run in cases.values())
             rows.append({"by": name, "output": f"{output} [{label or 1}]", "errors": errors, "broken": broken})
     disturbed = [*next(iter(found["rows"].values()))]
     return templates.render("controlled.html", rows=rows, cases=disturbed) + recorded(nominal)
+
+
+def _finite(value: float) -> str:
+    return number(value) if math.isfinite(value) else "∞"

@@ -14,6 +14,7 @@ from greygate import make, steps
 from greygate.control.choices import Method, Place
 from greygate.errors import InputError
 from greygate.hardware import controlled
+from greygate.identify.expert.diagnosed import Corrected
 from greygate.mismatch.model import Model
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
@@ -31,6 +32,17 @@ T = [0.5, "s", 0.3]
 y = { unit = "V" }
 [equations]
 lag.y = { storage = "T", input = "u", loss = "-y" }
+"""
+DRIVEN = """
+step = 1e-2
+outputs = ["y"]
+inputs = { u = "V", w = "V", p = "m", r = "m/s" }
+derived = { r = "rate p" }
+parameters = { T = [0.5, "s", 0.3] }
+states = { y = { unit = "V" }, q = { unit = "V" } }
+[equations]
+lag.y = { storage = "T", input = "u + w", loss = "-y + q", motion = "1000 * r" }
+store.q = { loss = "-q" }
 """
 NAMES = ["look", "diagnose", "correct", "build-snn", "validate", "compile", "verify"]
 SECONDS = 4  # for diagnosis and network
@@ -165,6 +177,34 @@ def test_the_corrected_plant_is_controlled_within_what_is_on_record(world, copy,
     assert "microseconds" not in table["rows"]["PI"]["load"]
     page = (copy / "index.html").read_text()
     assert "RMS / worst, supply" in page
+
+
+def test_what_cannot_be_controlled_is_refused_before_the_plant_is_diagnosed(world, tmp_path):
+    """Columns that are no outputs, inputs that rest on record, and those that are derived from one that moves."""
+    (tmp_path / "lag.toml").write_text(DRIVEN)
+    k = np.arange(60)
+    units = {"u": "V", "w": "V", "p": "m", "y": "V", "q": "V"}
+    moved = {"u": np.sin(k), "w": np.zeros(60), "p": np.cos(k), "y": np.sin(0.2 * k), "q": np.sin(0.1 * k)}
+    Recording(0.1, {n: moved[n] for n in "uwpy"}, units).write_csv(tmp_path / "run.csv")
+
+    def refused(columns, limits=()):
+        Recording(0.1, {n: moved[n] for n in columns}, units).write_csv(tmp_path / "track.csv")
+        track = make.Tracking(tmp_path / "track.csv", dict(limits), {})
+        files = {"run": str(tmp_path / "run.csv")}
+        with pytest.raises(InputError) as caught:
+            make.Asked.of(tmp_path / "lag.toml", files, {}, (), (), "up5k", "1.1x", 1.0, track)
+        return str(caught.value)
+
+    assert "w does not move on record; give --limits w=LOW:HIGH, or a column of REFERENCE.csv" in refused("y")
+    assert "column q is no output of" in refused("yqw")
+    assert "r is the rate p, which nothing computes under control" in refused("yw")
+    assert "r is the rate p, which nothing computes under control" in refused("ywp")
+    assert "r is the rate p" in refused("yp", [("w", (-1.0, 1.0))])
+
+
+def test_what_the_corrected_plant_does_not_say_is_said():
+    found = Corrected(None, {"u": []}, {"y": {}}, (), ["drift"])
+    assert make._absent(found) == "u, y, drift"
 
 
 def test_a_plant_that_is_driven_by_a_sensor_is_not_controlled(world, tmp_path, reference):

@@ -26,14 +26,15 @@ READS = "reads"  # entry of a diagnosis that was made for a network: what that n
 class Corrected:
     """plant: with the diagnosed values and terms. filters, readings: as for `Task`.
 
-    said: (place, what became of it, why) of every effect. own: parameter of an effect -> the name of its term. knees:
-    parameter that shapes an effect -> the upper end of its interval.
+    said: (place, what became of it, why) of every effect. left: effects of which no module is made. own: parameter of
+    an effect -> the name of its term. knees: parameter that shapes an effect -> the upper end of its interval.
     """
 
     plant: Plant
     filters: Mapping[str, Sequence[Filter]] = field(default_factory=dict)
     readings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     said: Sequence[tuple[str, str, str]] = ()
+    left: Sequence[str] = ()
     own: Mapping[str, str] = field(default_factory=dict)
     knees: Mapping[str, float] = field(default_factory=dict)
 
@@ -141,7 +142,7 @@ def _joined(rig: Rig, model: Model, values: Mapping[str, float], diagnosis: Mapp
     own = {f.symbol: e.key for e in built for f in e.free if e.terms and e.id != "unknown"}
     shaped = [f.symbol for e in built for f in e.free if f.symbol in own and f.shape]
     knees = {s: p.value + p.reach for s, p in plant.parameters.items() if s in shaped}
-    return Corrected(plant, filters, readings, said, own, knees)
+    return Corrected(plant, filters, readings, said, [*left], own, knees)
 
 
 def _with(plant: Plant, effect: Effect, values: Mapping[str, float]) -> Plant:

@@ -489,7 +489,7 @@ class Wiring:
                     found = self.product(f"{name}_{n}", found, base)
                 return found
             case Call("when", (condition, of)):
-                return self.where(name, condition, self.built(name, of, at), at)
+                return self.where(name, condition, self.built(f"{name}_then", of, at), at)
             case Call("exp", (inner,)) if (root := bell(inner)) is not None:
                 return self.neuron(name, "radbas", self.built(f"{name}_0", root, at))
             case Call("smooth_step", (x, width)):
@@ -525,7 +525,10 @@ class Wiring:
         match condition:
             case Call("max", (above, Number(0))):
                 self.log("part", plain(name), "a multiplexer", "the term acts only where its condition holds")
-                return self.chosen(name, self.built(f"{name}_if", Signed("-", above), at), Form(), form)
+                over = self.built(f"{name}_if", Signed("-", above), at)
+                values = self._values()
+                sizes = (float(np.abs(one.over(values)).max()) or 1.0 for one in (form, over))
+                return self.chosen(name, over.times(Form(next(sizes) / next(sizes))), Form(), form)  # its sign counts
         why = "no network knows where it is exactly 0; write it as max(..., 0)"
         raise InputError(f"plant {self.plant.name}: {name}: the condition of when(): {why}")
 
