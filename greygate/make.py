@@ -334,13 +334,20 @@ def machine(asked: Asked, plant: Plant, where: Path, noise: Mapping[str, float] 
     return tracking(where, plant, noise, asked.track.reference, wishes)
 
 
+def _noise(asked: Asked, fit: Mapping[str, Mapping[str, float | None]]) -> dict[str, float]:
+    """Of each channel of a fit, RMS: what its rig tells, else how rough it is, but no more than the fit leaves.
+
+    What a free run leaves drifts, too.
+    """
+    channels = asked.task.rig.channels if asked.task.rig else {}
+    sizes = rough(next(iter(asked.recordings.values())), [*fit])
+    sizes = {channel: min(size, fit[channel]["corrected"] or size) for channel, size in sizes.items()}
+    return sizes | {n: channels[n].noise for n in sizes if n in channels and channels[n].noise}
+
+
 def _control(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     plant, diagnosis = out / "correct" / f"{asked.task.plant.name}.toml", read_diagnosis(out / "diagnose" / DIAGNOSIS)
-    left = diagnosis["fit"]["identify"]
-    noise = rough(next(iter(asked.recordings.values())), [*left])
-    noise = {c: min(size, left[c]["corrected"] or size) for c, size in noise.items()}  # that of a free run drifts, too
-    told = {n: c.noise for n, c in asked.task.rig.channels.items() if n in noise and c.noise} if asked.task.rig else {}
-    chosen = machine(asked, Plant.read(plant), plant, noise | told)
+    chosen = machine(asked, Plant.read(plant), plant, _noise(asked, diagnosis["fit"]["identify"]))
     done = table(chosen, Method.NETWORK, Place.RTL, progress)
     for cases in done.found["rows"].values():
         for run in cases.values():

@@ -50,6 +50,13 @@ def test_a_parabola_is_read_exactly_and_what_is_constant_stays_so(samples):
     k = np.arange(float(samples))
     if samples >= 4:
         assert filters.late(k**2, 0.5, 1.0)[1:] == pytest.approx((k[1:] - 0.5) ** 2)
-        assert filters.behind(3 * k, 2.0, 1.0) == pytest.approx(3 * (k - 2.0 * (1 - np.exp(-k / 2.0))))
+        behind = k**2 - 4.0 * k + 8.0 * (1 - np.exp(-k / 2.0))
+        assert filters.behind(k**2, 2.0, 1.0) == pytest.approx(behind)
     for function in (filters.late, filters.behind):
         assert function(np.full(samples, 7.0), 0.3, 1.0) == pytest.approx(np.full(samples, 7.0))
+
+
+def test_a_reading_is_undone_straight_between_samples_which_keeps_less_of_its_noise():
+    noise = np.random.default_rng(1).standard_normal(50)
+    undone = unfiltered("late", noise, (0.5,), 1.0)
+    assert undone[:-1] == pytest.approx((noise[:-1] + noise[1:]) / 2)

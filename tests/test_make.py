@@ -40,10 +40,11 @@ outputs = ["y"]
 inputs = { u = "V", w = "V", p = "m", r = "m/s" }
 derived = { r = "rate p" }
 parameters = { T = [0.5, "s", 0.3] }
-states = { y = { unit = "V" }, q = { unit = "V" } }
+states = { y = { unit = "V" }, q = { unit = "V" }, z = { unit = "Wb" } }
 [equations]
-lag.y = { storage = "T", input = "u + w", loss = "-y + q", motion = "1000 * r" }
+lag.y = { storage = "T", input = "u + w", loss = "-y + q + 0 * z", motion = "1000 * r" }
 store.q = { loss = "-q" }
+flux.z = { loss = "-z" }
 """
 NAMES = ["look", "diagnose", "correct", "build-snn", "validate", "compile", "verify"]
 SECONDS = 4  # for diagnosis and network
@@ -169,7 +170,9 @@ def test_the_corrected_plant_is_controlled_within_what_is_on_record(world, copy,
         if bits == 0:
             assert again(greygate(*words)[1]) == [*NAMES, "control"]
             words += ["--limits", "u=-0.9:0.9"]
-    (machine, method, place), (other, *_) = seen
+    Recording(0.1, {"y": 0.1 * np.sin(0.2 * np.arange(60))}, {"y": "V"}).write_csv(reference)
+    assert again(greygate(*words)[1]) == NAMES
+    (machine, method, place), (other, *_), _ = seen
     first = make.read(world / "lag.toml", {"first": str(world / "first.csv")})[1]["first"]["u"]
     assert (machine.limits.low, machine.limits.high) == (first.min(), first.max())
     assert (other.limits.low, other.limits.high, other.limits.rate) == (-0.9, 0.9, 5.0)
@@ -202,6 +205,11 @@ def test_what_cannot_be_controlled_is_refused_before_the_plant_is_diagnosed(worl
     assert "r is the rate p, which nothing computes under control" in refused("yw")
     assert "r is the rate p, which nothing computes under control" in refused("ywp")
     assert "r is the rate p" in refused("yp", [("w", (-1.0, 1.0))])
+    (tmp_path / "lag.toml").write_text(DRIVEN.replace("rate p", "rate q"))
+    assert "r is the rate q, which nothing computes under control" in refused("yw")
+    plain = DRIVEN.replace('derived = { r = "rate p" }\n', "").replace(', r = "m/s"', "").replace("1000 * r", "p")
+    (tmp_path / "lag.toml").write_text(plain)
+    assert "unit Wb has no suffix" in refused("yw", [("z", (-1.0, 1.0))])
 
 
 def test_what_the_corrected_plant_does_not_say_is_said():
@@ -319,6 +327,11 @@ def test_a_rig_brings_its_recordings_its_noise_and_its_own_effects(world, tmp_pa
     (rig / "rig.toml").write_text(RIG)
     asked = make.Asked.of(rig, {}, {}, (), (), "up5k", "1.1x", 1.0)
     assert ([*asked.recordings], [*asked.held], asked.task.targets) == (["first"], ["second"], ("y",))
+    fit = {"y": {"corrected": 0.5}}
+    assert make._noise(asked, fit) == {"y": 1e-3}
+    bare = replace(asked, task=replace(asked.task, rig=None))
+    assert make._noise(bare, {"y": {"corrected": None}})["y"] > 5e-3  # V; rough, as it moves much in a sample
+    assert make._noise(bare, {"y": {"corrected": 2e-3}}) == {"y": 2e-3}
     seen = make.correct.__globals__["rig_for"](asked.task, asked.heads)
     assert (seen.channels["y"].noise, seen.folder, seen.held_out()) == (1e-3, rig, None)
     assert Model(seen, seen.to_explain(), {}).target.shape == (180, 1)

@@ -132,6 +132,9 @@ def test_a_term_acts_in_the_network_where_its_condition_holds(cart, wall):
     assert found.rms["network"]["first"]["x"] < 5e-3 * np.ptp(run["x"])
     switched = [d for d in found.log.decisions if d.reason == "the term acts only where its condition holds"]
     assert bool(switched) is ("max" in wall)
+    for layer in found.network.layers().values():  # a condition counts by its sign, in numbers that a word can hold
+        if layer.activation == "select":
+            assert 1e-2 < max(abs(w[0][0]) for w in layer.weights.values()) < 1e2
 
 
 def test_a_condition_that_no_network_can_tell_is_refused(cart):

@@ -518,10 +518,13 @@ class Wiring:
         return self.made(name, name, scale, found, plain(name))
 
     def where(self, name: str, condition: Node, form: Form, at: int) -> Form:
-        """The form where a condition is not 0, else 0: always, never, or by a multiplexer where it is max(above, 0)."""
+        """The form where a condition is not 0, else 0: by a multiplexer where it is max(above, 0), or always.
+
+        Where it is never, all of that is linear.
+        """
         known = linear(condition, lambda symbol: self.resolve(symbol, at))
         if known is not None and known.is_constant:
-            return form if known.constant else Form()
+            return form
         match condition:
             case Call("max", (above, Number(0))):
                 self.log("part", plain(name), "a multiplexer", "the term acts only where its condition holds")
