@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from greygate.errors import InputError
+from greygate.errors import InputError, brought_by
 from greygate.models.network import Port
 
 EXACT = 1.0  # times the most that tracking gains by a violation: there is none where none is needed
@@ -78,6 +78,13 @@ class Predicting(Protocol):
         """(steps, outputs, inputs * knots) of the last run."""
 
 
+def solver() -> Any:
+    """The package OSQP. Raises InputError where it is not installed."""
+    with brought_by("control", "osqp"):
+        import osqp
+    return osqp
+
+
 class Predictive:
     """The controller. `plan` holds the inputs at the knots, normalised; `solved` whether the last program was.
 
@@ -86,10 +93,7 @@ class Predictive:
 
     def __init__(self, prediction: Predicting, aim: Aim | Sequence[Aim], limits: Limits, every: int = 1):
         """aim: several where several outputs track. every: of how many steps one is held to the limits of outputs."""
-        try:
-            import osqp
-        except ImportError:
-            raise InputError("osqp is not installed; pip install 'greygate[control]'") from None
+        osqp = solver()
         self.prediction, self.limits = prediction, limits
         self.aims = [aim] if isinstance(aim, Aim) else list(aim)
         ports = {p.name: (i, p) for i, p in enumerate(prediction.outputs)}

@@ -16,6 +16,7 @@ from greygate.compiler.verilog import holdable
 from greygate.contents import contents
 from greygate.control.choices import Case, Method, Place
 from greygate.control.own import Machine
+from greygate.control.predictive import solver
 from greygate.errors import InputError
 from greygate.files import making, replacing
 from greygate.hardware.build import LATER, Project
@@ -104,6 +105,7 @@ class Asked:
         learnt, held = ({n: kept[n] for n in each} for each in (files, tests))
         made = cls(where, task, learnt, held, sensors, request, error, seconds, track)
         if track:  # minutes before the plant is corrected
+            solver()
             storable(machine(made, task.reduced, where))
         return made
 

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from copy import deepcopy as copied
 from dataclasses import replace
 from functools import partial
@@ -210,6 +211,14 @@ def test_what_cannot_be_controlled_is_refused_before_the_plant_is_diagnosed(worl
     plain = DRIVEN.replace('derived = { r = "rate p" }\n', "").replace(', r = "m/s"', "").replace("1000 * r", "p")
     (tmp_path / "lag.toml").write_text(plain)
     assert "unit Wb has no suffix" in refused("yw", [("z", (-1.0, 1.0))])
+
+
+def test_control_without_its_solver_is_refused_at_once(world, tmp_path, greygate, monkeypatch, reference):
+    monkeypatch.setitem(sys.modules, "osqp", None)
+    code, _, error = greygate(*arguments(world, tmp_path / "out", "--control", str(reference)))
+    assert code == 2
+    assert "osqp is not installed; pip install 'greygate[control]'" in error
+    assert not (tmp_path / "out").exists()
 
 
 def test_what_the_corrected_plant_does_not_say_is_said():
