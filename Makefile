@@ -58,7 +58,7 @@ types: $(VENV)/.ready-dev
 
 # Nightly: 10,000 mutants of the files that each parser reads.
 fuzz: $(VENV)/.ready-dev
-	GREYGATE_FUZZ=10000 $(BIN)/python -m pytest tests/test_fuzz.py -s
+	GREYGATE_FUZZ=10000 $(BIN)/pytest tests/test_fuzz.py -s
 	$(BIN)/python -m benchmarks made
 
 train: $(VENV)/.ready

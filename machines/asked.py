@@ -74,7 +74,8 @@ def of(where: Path, what: Plant | Network, noise: Mapping[str, float], track: Pa
     names += [n for n in wishes.limits if n in outputs and n not in names]
     limits = _limits(wishes, drives, reference.dt)
     acting = {n: reference[n] for n in columns if n in inputs}
-    noisy = {**noise, **_rough(wishes.noisy, measured), **wishes.noise}
+    seen = rough(read_recording(wishes.noisy), measured) if wishes.noisy else {}
+    noisy = {**noise, **seen, **wishes.noise}
     sensors = {n: noisy.get(n, 0.0) for n in names if n in measured}
 
     def truth(seed: int | None) -> Model:
@@ -188,10 +189,6 @@ def _drawn(what: Plant | Network, seed: int) -> Plant | Network:
     return what.with_parameters(
         **{n: p.value + p.reach * e for (n, p), e in zip(what.parameters.items(), off, strict=True)}
     )
-
-
-def _rough(noisy: Path | None, names: Sequence[str]) -> dict[str, float]:
-    return {} if noisy is None else rough(read_recording(noisy), names)
 
 
 def rough(found: Recording, names: Sequence[str]) -> dict[str, float]:
