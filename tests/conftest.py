@@ -8,6 +8,7 @@ import checking
 import command_line
 import numpy as np
 import pytest
+import torch
 from hypothesis import HealthCheck, settings
 from networks import delay_line
 
@@ -25,6 +26,17 @@ sys.path.append(str(Path(__file__).parents[1]))  # for `benchmarks`; last: folde
 
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")  # how fast an example is drawn says nothing of the product
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_fixture_setup():
+    """A network of torch has the same weights whatever ran before in this process."""
+    torch.manual_seed(0)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_call():
+    torch.manual_seed(0)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -15,6 +15,7 @@ from greygate.models.importers.beside import Beside
 from greygate.models.residuals import asks_for
 from greygate.models.spectra import Octave
 from greygate.models.training.initial import initialised
+from greygate.models.training.record import check_skips
 from greygate.models.validation import Correlation, Covered, Validation, coverage, validate
 from greygate.pages.summary import aligned
 from greygate.pages.units import NONE, display, per_cent, shown
@@ -123,6 +124,7 @@ def judge(source: Source, lags: int = 25, progress: Progress = silent) -> Judged
         if taken := set(training) & set(records):
             raise InputError(f"record {min(taken)}: {source.name} learnt from one of that name; name yours otherwise")
         records = {n: own[n] for n in training} | records
+    check_skips(network, list(records.values()))  # before anything is run
     records = {name: initialised(network, record) for name, record in records.items()}
     validations = validate(network, records, period=source.period, lags=lags, progress=progress)
     size = sum(v.size for v in network.flatten().parameters().values())
