@@ -28,6 +28,7 @@ PERIOD = 1e-3  # s, of a step, where neither the caller nor the network says it
 SAME = 1e-9  # largest relative change of any output that a simplification may cause
 WIDTHS = range(8, 33)
 EXACT = 1e-9  # error of float, relative to the signal, below which it has none
+FINER = "give more bits (--width), or a largest error (--max-error 1.05x)"
 COARSE = 1 / 32  # of an output's range: beyond it, fixed point has fewer than five bits of it right, which a plot shows
 
 
@@ -199,11 +200,25 @@ def coarse(program: Program, network: Network, records: Mapping[str, Record]) ->
             share = float(apart / span) if span > EXACT * np.abs(answers).max() else 0.0
             worst[name] = max(worst.get(name, (COARSE, "")), (share, scenario))
     return {
-        name: f"differs from float by up to {share:.0%} of its range on {scenario}: give more bits (--width), "
-        "or a largest error (--max-error 1.05x)"
+        name: f"differs from float by up to {share:.0%} of its range on {scenario}: "
+        + (beyond(program, {scenario: records[scenario]}) or FINER)
         for name, (share, scenario) in worst.items()
         if scenario
     }
+
+
+def beyond(program: Program, records: Mapping[str, Record]) -> str:
+    """The input that leaves what its word holds in the most samples of a record, and what to do; "" if none does."""
+    clipped = {(name, n): c for name, r in records.items() for n, c in program.clipped(r.inputs).items()}
+    if not clipped:
+        return ""
+    scenario, name = max(clipped, key=lambda where: clipped[where].share)
+    found = clipped[scenario, name]
+    held, given = (f"{low:.6g} to {high:.6g}" for low, high in (found.holds, found.given))
+    return (
+        f"{name} is {given} on {scenario}, its word holds {held}; let a recording with such values set the ranges, "
+        "or leave this one out"
+    )
 
 
 def strain(program: Program, network: Network, records: Sequence[Record]) -> float:

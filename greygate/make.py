@@ -285,7 +285,7 @@ def _validate(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     learnt, held = _files(asked, out)
     settle = asked.task.rig.settle if asked.task.rig else 0
     settle = settle if held else min(parts_of(asked.recordings, False)[0].values())
-    judged = judge(Source(str(_network(asked, out)), {**learnt, **held}, settle), progress=progress)
+    judged = judge(Source(str(_network(asked, out)), {**learnt, **held}, settle, len(learnt)), progress=progress)
     _draw(new, story.validated(judged, asked.judges))
     (new / FIGURES).write_text(
         schemas.text("validate", judged.figures() | {"advice": advice(judged)}), encoding="utf-8", newline="\n"
@@ -297,7 +297,7 @@ def _validate(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
 
 def _compile(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     learnt, held = _files(asked, out)
-    source = Source(str(_network(asked, out)), {**learnt, **held})
+    source = Source(str(_network(asked, out)), {**learnt, **held}, learnt=len(learnt))
     explorer = Explorer(asked.request, progress=progress, training=source.training)
     compile_project(source, new / BUILD, explorer=explorer, progress=progress)
     _draw(new, story.compiled(explorer.facts))

@@ -56,6 +56,7 @@ class Facts(TypedDict):
     passes: list[Pass]
     pruning: list[dict[str, Any]]
     explored: NotRequired[Explored]
+    learnt: NotRequired[Annotated[Count, "How many recordings set the ranges, the first; one where it is absent."]]
 
 
 def compile_project(
@@ -164,6 +165,7 @@ def _write(
     facts = {
         "source": source.name if source.name in CATALOG else str(Path(source.name).resolve()),
         "recordings": {n: str(Path(p).resolve()) for n, p in source.recordings.items()},
+        **({"learnt": len(source.training)} if source.recordings else {}),
         "title": source.title,
         "architectures": list(architectures),
         "design": design,

@@ -17,7 +17,7 @@ def greygate_build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., "P
     """A function that compiles a network into a folder of pytest's, the same request once in a session.
 
     `greygate_build("mine.toml", {"train": "train.csv"}, width=14)`: a network as `greygate compile` takes it; scenario
-    -> recording, of which the first sets the ranges; `width` and `finer` of the formats, and the options of
+    -> recording, which set the ranges; `width` and `finer` of the formats, and the options of
     `greygate.build`. It returns a `greygate.Project` and raises InputError as `greygate.build`.
     """
     made: dict[str, Project] = {}

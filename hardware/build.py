@@ -78,7 +78,11 @@ class Project:
             raise InputError(f"{folder}: its manifest does not list {min(missing)}; run greygate compile again")
         if other := [*changed(folder, data), *linked(folder)]:
             raise InputError(f"{folder / other[0]}: not as greygate compile wrote it; run greygate compile again")
-        source, program = Source(facts["source"], facts["recordings"]), Program.load(folder / "program.json")
+        files = facts["recordings"]
+        source = Source(
+            facts["source"], files, learnt=facts.get("learnt", 1) if files else None
+        )  # one, before it stood
+        program = Program.load(folder / "program.json")
         network = replace(Network.load(folder / "network"), dt=program.period)
         return Project(folder, source, program, network, facts)
 

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from greygate import children
@@ -11,6 +11,8 @@ from greygate.compiler.centre import centre_biases
 from greygate.compiler.explore import Exploration, Point, Request, Room, Unmet, explore, told
 from greygate.compiler.explore.judge import Bound, Judge, Scale
 from greygate.compiler.explore.trail import Maker
+from greygate.compiler.pipeline import beyond
+from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import Range
 from greygate.compiler.study import Costed, Explored
 from greygate.emulator.program import Program
@@ -111,8 +113,12 @@ class Explorer:
         judge = Judge(network, records, self.request.bound)
         judge.allowed  # noqa: B018 - a bound that means nothing is told before the work
         training = [records[name] for name in self.training or list(records)[:1]]
-        self.found = explore(Maker(network, ranges, judge, period, training), self.request, self.mapper, self.progress)
+        make = Maker(network, ranges, judge, period, training)
+        self.found = explore(make, self.request, self.mapper, self.progress)
         if self.found.chosen is None:
+            usual = make(Formats())
+            if usual and (beside := beyond(usual.program, records)):
+                self.found = replace(self.found, why=f"{self.found.why}; {beside}")
             raise Unmet(self.found)
         plain = self.found.chosen.candidate.program
         centred = centre_biases(plain, network, list(records.values()))

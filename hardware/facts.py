@@ -60,7 +60,7 @@ FILES: dict[str, Kind] = {
             "passes": listed(lambda value, where: table(value, where, PASS)),
             "pruning": listed(anything),
         },
-        {"explored": lambda value, where: table(value, where, EXPLORED)},
+        {"learnt": whole(1), "explored": lambda value, where: table(value, where, EXPLORED)},
     ),
     "verify.json": named(lambda value, where: table(value, where, ARCHITECTURE), line),
     "resources.json": named(named(maybe(number), line), line),

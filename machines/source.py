@@ -84,8 +84,9 @@ def read_records(network: Network, paths: Mapping[str, Path | str], answering: b
 class Source:
     """Where a network and its records come from: a name of the catalogue, or a network file with recordings.
 
-    recordings: scenario -> CSV; empty for the records of the catalogue. The first one sets the ranges of the formats.
+    recordings: scenario -> CSV; empty for the records of the catalogue.
     settle: the number of first samples of each recording that only give its initial state.
+    learnt: how many of them, the first, a network learns from, and set the ranges of the formats; all by default.
     Its methods raise InputError for a name, a file or a recording that cannot be used.
 
     >>> lag.save("lag")
@@ -97,6 +98,7 @@ class Source:
     name: str
     recordings: Mapping[str, str] = field(default_factory=dict)
     settle: int = 0
+    learnt: int | None = None
 
     def network(self) -> Network:
         path = Path(self.name)
@@ -183,8 +185,8 @@ class Source:
 
     @property
     def training(self) -> tuple[str, ...]:
-        """Scenarios that set ranges and formats: the catalogue's training runs, or the first recording given."""
-        return entry(self.name).training if not self.recordings else tuple(self.recordings)[:1]
+        """Scenarios that set ranges and formats: the catalogue's training runs, or the first `learnt` recordings."""
+        return entry(self.name).training if not self.recordings else tuple(self.recordings)[: self.learnt]
 
     @property
     def scenarios(self) -> tuple[str, ...]:

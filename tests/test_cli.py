@@ -16,6 +16,7 @@ from greygate import __version__, cli
 from greygate.cli import app
 from greygate.errors import InputError
 from greygate.files import replacing_folder
+from greygate.hardware.build import Project
 from greygate.machines.catalog import CATALOG
 from greygate.models.families.library import library
 from greygate.models.network import Layer, Network, Port
@@ -155,18 +156,47 @@ def test_pruning_keeps_what_a_held_recording_shows_and_every_recording_is_printe
         y = network.run(inputs)["y"] + 0.01 * rng.normal(size=200)
         Recording(1e-3, inputs | {"y": y}, {"u": "V", "v": "V", "y": "m"}).write_csv(tmp_path / f"{name}.csv")
 
-    def moved(*arguments) -> dict:
+    def rmse(*arguments) -> dict:
         given = ["compile", "two.toml", "still.csv", *how, *arguments, "--json", "--out", "b"]
         code, out, error = greygate(*given)
         assert code == 0, error
-        rmse = json.loads(out)["rmse"]
-        assert list(rmse) == ["still", "moved"]
-        return rmse["moved"]["y"]
+        return json.loads(out)["rmse"]
 
-    blind, seen = moved("moved.csv"), moved("--held", "moved.csv")
-    assert blind["before"] == seen["before"] == pytest.approx(0.01, rel=0.1)
-    assert blind["float"] > 20 * blind["before"]
-    assert seen["float"] <= 1.02 * seen["before"]
+    assert list(rmse()) == ["still"]
+    weights = Network.load("b/network").layers()["hidden"].weights
+    assert not np.any(weights.get("v", 0.0))
+    for given in (["moved.csv"], ["--held", "moved.csv"]):
+        seen = rmse(*given)
+        assert list(seen) == ["still", "moved"]
+        assert seen["moved"]["y"]["before"] == pytest.approx(0.01, rel=0.1)
+        assert seen["moved"]["y"]["float"] <= 1.02 * seen["moved"]["y"]["before"]
+
+
+def test_recordings_set_the_ranges_but_for_a_held_one_of_which_it_is_said_that_it_leaves_them(
+    tmp_path, network, greygate, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    recording(tmp_path / "a.csv")
+    recording(tmp_path / "big.csv", reach=90)
+
+    def holds(*arguments) -> tuple[float, str]:
+        code, out, error = greygate("compile", "line.toml", "a.csv", *arguments, "--out", "b")
+        assert code == 0, error
+        program = Project.open("b").program
+        return float(program.inputs[0].values(np.array([program.inputs[0].signal.fix.hi]))[0]), out
+
+    both, said = holds("big.csv")
+    assert both > 89.7461
+    assert "its word holds" not in said
+    assert Project.open("b").source.training == ("a", "big")
+    first, said = holds("--held", "big.csv")
+    assert first < 10
+    assert "of its range on big: u is -0.750796 to 89.7461 on big, its word holds -7 to" in said
+    code, out, _ = greygate(
+        "explore", "line.toml", "a.csv", "--held", "big.csv", "--target", "up5k", "--max-error", "1%", "--out", "c"
+    )
+    assert code == 1
+    assert "u is -0.750796 to 89.7461 on big, its word holds" in out
 
 
 def test_a_users_network_goes_the_whole_road(tmp_path, built, greygate):
@@ -253,7 +283,6 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(
         (["validate", "line.toml"], "line.toml: no recordings; give FILE.csv after it\n"),
         (["compile", "line.toml", "a.csv", "slow.csv", "--out", "b"], TWO_TIMES),
         (["validate", "line.toml", "a.csv", "slow.csv"], TWO_TIMES),
-        (["compile", "line.toml", "a.csv", "--held", "big.csv", "--out", "b"], "give --prune or --weights"),
         (["compile", "line.toml", "--held", "a.csv", "--prune", "1.1", "--out", "b"], "a sets the ranges"),
         (["compile", "line.toml", "t=a.csv", "--width", "3", "--out", "b"], "--width 3: give 4 to 32 bits"),
         (["compile", "line.toml", "t=big.csv", "--width", "8", "--out", "b"], "8 bits cannot hold"),

@@ -216,7 +216,8 @@ def diagnosis_seeds(folder: Path) -> list[dict[str, bytes]]:
             claimed = {symbol for effect in found["effects"] for symbol in effect["parameters"]}
             if name in conceal.RIGS and claimed & set(conceal.RIGS[name].optional):
                 name = f"{name} without"
-            seeds.append({**_rigs(folder)[name], "diagnosis.json": path.read_bytes()})
+            if name in _rigs(folder):  # a MuJoCo model is none of them
+                seeds.append({**_rigs(folder)[name], "diagnosis.json": path.read_bytes()})
     return seeds
 
 

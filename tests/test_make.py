@@ -346,9 +346,22 @@ def test_a_rig_brings_its_recordings_its_noise_and_its_own_effects(world, tmp_pa
     assert Model(seen, seen.to_explain(), {}).target.shape == (180, 1)
 
 
-def test_recordings_with_values_of_their_own_are_refused(world, tmp_path, greygate):
+def test_a_value_that_a_recording_has_of_its_own_is_an_input_of_the_network(world, tmp_path):
     rig = Path(shutil.copytree(world, tmp_path / "rig"))
     (rig / "rig.toml").write_text(f"{RIG}[recordings]\nsecond.parameters = {{ T = 0.7 }}\n")
+    known, found = make.read(rig, {n: str(rig / f"{n}.csv") for n in ("first", "second")})
+    assert (known.plant.inputs["T"], known.channels["T"].role, known.own["second"].parameters) == ("s", "input", {})
+    assert "T" not in {*known.plant.parameters, *known.datasheet}
+    assert [(set(r["T"].tolist()), r.units["T"]) for r in found.values()] == [({0.5}, "s"), ({0.7}, "s")]
+    asked = make.Asked.of(rig, {}, {}, (), (), "up5k", "1.1x", 1.0)
+    assert asked.task.inputs == ("u", "T")
+    assert set(asked.recordings["first"]["T"].tolist()) == {0.5}
+
+
+def test_an_uncertain_value_of_a_recording_is_refused(world, tmp_path, greygate):
+    rig = Path(shutil.copytree(world, tmp_path / "rig"))
+    own = "second.parameters = { T = 0.7 }\nsecond.tolerance = { T = 0.1 }"
+    (rig / "rig.toml").write_text(f"{RIG}[recordings]\n{own}\n")
     code, _, error = greygate("make", rig, "--out", tmp_path / "out")
     assert code == 2
     assert "second.csv: T has another value there, and a network has one; make it an input of the plant" in error

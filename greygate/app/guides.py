@@ -144,7 +144,7 @@ def fpga(folder: Path, of: str, made: str) -> Way:
         recordings = _learnt(folder, of)
         asks = (
             Ask("record", "Recording that sets the ranges", choices=recordings),
-            Ask("record", "Others to verify it on", choices=recordings[1:], several=True),
+            Ask("held", "Others to verify it on", choices=recordings[1:], several=True),
             Ask("width", "Bits of a word", "16"),
             Ask("out", "Folder of the build", _fresh(folder, f"{Path(of).with_suffix('').as_posix()}_build")),
         )

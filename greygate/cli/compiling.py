@@ -63,7 +63,7 @@ def compile(
 ) -> None:
     """Write a network as Verilog: simplified, pruned, quantized.
 
-    The first recording sets the ranges. --max-error 1.05x stands instead of a width.
+    Recordings set the ranges, but for --held. --max-error 1.05x stands instead of a width.
     """
     given, design = _given(context), Design(multipliers=macs, factor=factor, dsps=dsps)
     growth = _growth(max_error)
@@ -167,18 +167,12 @@ class _Wanted:
             if name in self.given and self.architecture is not EVERY and self.architecture.value not in those:
                 meant = f"{self.architecture.value}, but for {' and '.join(those)}"
                 raise InputError(f"--{name}: means nothing for {meant}; leave it out")
-        if self.held and not self.prunes:
-            raise InputError("--held: it only bounds pruning; give --prune or --weights, or the file as a recording")
-
-    @property
-    def prunes(self) -> bool:
-        return self.prune is not None or self.weights is not None
 
     @cached_property
     def source(self) -> "Source":
         from greygate.machines.source import Source
 
-        return Source(self.network, recordings([*self.record, *self.held]))
+        return Source(self.network, recordings([*self.record, *self.held]), learnt=len(self.record) or 1)
 
     def fixed(self) -> dict:
         """What exploring does not vary."""
@@ -219,7 +213,7 @@ class _Wanted:
         from greygate.project import fixed_and_float
 
         self.suppose()
-        before = self.source.network() if self.prunes else None
+        before = None if self.prune is None and self.weights is None else self.source.network()
         records = self.source.records(answering=True)
         rmse = {scenario: fixed_and_float(compiled, judged, before) for scenario, judged in records.items()}
         passes = [

@@ -46,7 +46,7 @@ BUDGET = typer.Option(metavar="FILE.toml", help="How much each figure may grow, 
 CASES = typer.Option(callback=options.COUNT, help="Number of cases.")
 CONDITION = typer.Option(metavar="NAME", help="How it is recorded; an unknown name lists the ways.")
 DIAGNOSIS = typer.Option(metavar="FILE.json", help="diagnosis.json that `greygate diagnose` wrote.")
-HELD = typer.Option(metavar="FILE.csv", help="Held out: chooses the epoch, or bounds the error of pruning.")
+HELD = typer.Option(metavar="FILE.csv", help="Held out: chooses the epoch, bounds the error of pruning, sets no range.")
 INPUT = typer.Option(metavar="CHANNEL", help="A channel that drives the machine.")
 MAX_ERROR = typer.Option(metavar="BOUND", help="1.05x the RMSE of float; explore: also 0.5% of a range, 0.2bar.")
 MHZ = typer.Option(callback=options.MHZ, help="Clock rate in MHz.")

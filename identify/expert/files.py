@@ -1,17 +1,21 @@
 """From files to files: `greygate build-snn`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, NotRequired, TypedDict
+
+import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import making, replacing, writing
 from greygate.identify.expert.building import Built, build
 from greygate.identify.expert.decisions import Decision
-from greygate.mismatch.rig import Rig, load
+from greygate.mismatch.rig import Channel, Own, Rig, load
 from greygate.mismatch.simulation import read as read_diagnosis
 from greygate.models.accuracy import Errors
 from greygate.plain import Count, json_text, plain
+from greygate.plants.expressions import names
 from greygate.plants.plant import Plant
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import UNITS, Recording
@@ -69,8 +73,39 @@ def read(where: Path, files: Mapping[str, str]) -> tuple[Plant | Rig, dict[str, 
     folder = where if where.is_dir() else where.parent
     if where.is_dir() or where.name == RIG:
         rig = load(folder)
-        return rig, {name: rig.recording(Path(path)) for name, path in files.items()}
+        return driven(rig, {name: rig.recording(Path(path)) for name, path in files.items()})
     return Plant.read(where), {name: read_recording(path, told=once) for name, path in files.items()}
+
+
+def driven(rig: Rig, recordings: Mapping[str, Recording]) -> tuple[Rig, dict[str, Recording]]:
+    """The rig with an input for each parameter that has an exact value of its own in a recording, and the recordings.
+
+    A network has one value of a parameter; an input's may be another in each recording.
+    """
+    plant, own = rig.plant, {n: rig.own.get(n, Own()).parameters for n in recordings}
+    bounds = names(b for s in plant.states.values() for b in (s.initial, s.low, s.high) if isinstance(b, str))
+    fixed = {*rig.anew, *bounds, *plant.switches, *plant.switches.values(), *plant.required}
+    fixed |= {s for o in rig.own.values() for s in o.unsure}
+    others = {s for o in own.values() for s, v in o.items() if v != plant.parameters[s].value}
+    moved = {s: p for s, p in plant.parameters.items() if s in others - fixed}
+    units = {s: p.unit for s, p in moved.items()}
+    known = replace(plant, parameters=_but(plant.parameters, moved), inputs={**plant.inputs, **units})
+    rig = replace(
+        rig,
+        plant=known,
+        datasheet=_but(rig.datasheet, moved),
+        channels={**rig.channels, **{s: Channel(unit, "input") for s, unit in units.items()}},
+        own={n: replace(o, parameters=_but(o.parameters, moved)) for n, o in rig.own.items()},
+    )
+    found = {}
+    for n, r in recordings.items():
+        values = {s: np.full(r.samples, own[n].get(s, p.value)) for s, p in moved.items()}
+        found[n] = replace(r, channels={**r.channels, **values}, units={**r.units, **units})
+    return rig, found
+
+
+def _but(given: Mapping, without: Collection) -> dict:
+    return {name: value for name, value in given.items() if name not in without}
 
 
 def _written(built: Built, files: Mapping[str, str], out: Path, bare: Mapping[str, Recording]) -> dict:

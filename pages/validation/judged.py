@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated, NotRequired, TypedDict
 
 import numpy as np
@@ -116,8 +116,9 @@ def judge(source: Source, lags: int = 25, progress: Progress = silent) -> Judged
     """Validate a network of the catalogue, or a file, on its records. Raises InputError as `validate` and `Source`.
 
     A network of the catalogue is also judged on its training records, even if recordings are given. Any other network
-    is assumed to be trained on the first recording.
+    is assumed to be trained on the first recording, if it is not said on how many (`Source.learnt`).
     """
+    source = replace(source, learnt=source.learnt or 1)
     network, records, training = source.network(), source.records(), source.training
     if source.name in CATALOG and source.recordings:
         training, own = entry(source.name).training, entry(source.name).records()
