@@ -111,12 +111,15 @@ def dfki() -> dict[str, Columns]:
     return {f"run{n}": {name: r[column] for name, column in names.items()} for n, r in runs.items()}
 
 
-def bam() -> dict[str, Columns]:
-    """Runs of one servo at four gains, as they were recorded, at instants that vary; a kind of motion is held out."""
+def bam(high: int = 400) -> dict[str, Columns]:
+    """Runs of one servo at four gains, as they were recorded, at instants that vary; a kind of motion is held out.
+
+    high: the gain of half of those that are to be explained.
+    """
     names = {"t": "t_s", "goal": "goal_rad", "supply": "u_V", "on": "torque_on", "q": "q_rad"}
     kinds = {"sine": "sin_sin", "square": "sin_time_square", "updown": "up_and_down"}
     folder, runs = find("bam-servo-pendulum", "its SOURCE.md"), {}
-    for short, gain in (*((s, g) for s in ("sine", "square") for g in (100, 400)), ("updown", 200), ("updown", 800)):
+    for short, gain in (*((s, g) for s in ("sine", "square") for g in (100, high)), ("updown", 200), ("updown", 800)):
         (path,) = folder.glob(f"xl330_{kinds[short]}_m0.49_kp{gain}_*.csv")
         r = read("bam-servo-pendulum", path.name)
         runs[f"{short}_{gain}"] = {name: r[column] for name, column in names.items()}
@@ -142,7 +145,12 @@ MAKERS: dict[str, Callable[[], tuple[Columns, Columns] | dict[str, Columns]]] = 
 def make(name: str, folder: Path) -> Path:
     """The rig `name` in `folder`, with its recordings."""
     shutil.copytree(RIGS / name, folder, dirs_exist_ok=True)
-    rig, made = load(folder), MAKERS[name]()
+    return record(folder, MAKERS[name]())
+
+
+def record(folder: Path, made: tuple[Columns, Columns] | dict[str, Columns]) -> Path:
+    """Write the recordings of a rig."""
+    rig = load(folder)
     runs = made if isinstance(made, dict) else dict(zip(("identify", "holdout"), made, strict=True))
     for run, columns in runs.items():
         count = len(next(iter(columns.values())))

@@ -87,7 +87,7 @@ def _resists(sympy: Any, part: Any, v: Any) -> tuple[str, float]:
         return "", 0.0
     if rest == v:
         return "damping", -float(factor)
-    widths = rest.args[0] / v if rest.func in (sympy.tanh, sympy.sign) else sympy.nan
+    widths = rest.args[0] / v if rest.func in (sympy.tanh, sympy.sign) else sympy.Integer(0)
     return ("frictionloss", -float(factor)) if widths.is_number and widths > 0 else ("", 0.0)
 
 

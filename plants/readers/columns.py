@@ -72,7 +72,7 @@ def channels(
     Raises InputError for a header or a unit that cannot be read in one way.
     """
     units, required = dict(units or {}), required or {}
-    named = [(column, *_named(column, source, required)) for column in columns]
+    named = [(column, *_named(column, source, required, units)) for column in columns]
     clocks = [k for k, (c, name, _) in enumerate(named) if c.time is None and _is_clock(name, c.header, clock)]
     if clock is not None and not clocks:
         raise InputError(f"{source}: no column {clock}; it has {', '.join(name for _, name, _ in named)}")
@@ -96,7 +96,8 @@ def channels(
     if bare:
         raise InputError(
             f"{source}: {_listed(bare)} no unit; write {bare[0]} [unit] in "
-            f"its header, or name the unit beside; of plain numbers: {' '.join(f'--unit {name}=1' for name in bare)}"
+            f"its header, or have a file written that has it: greygate look {source} --out NEW.csv --unit {bare[0]}=UNIT; "
+            f"of plain numbers: {' '.join(f'--unit {name}=1' for name in bare)}"
         )
     found = []
     for column, name, unit in named:
@@ -122,11 +123,16 @@ def channels(
     return found
 
 
-def _named(column: Column, source: str, required: Mapping[str, str]) -> tuple[str, str | None]:
+def _named(
+    column: Column, source: str, required: Mapping[str, str], units: Mapping[str, str]
+) -> tuple[str, str | None]:
     """(name, unit or None) that a header gives. Raises InputError if the file tells another unit apart from it.
 
     required: channel -> unit; a header that is the name of one without a unit has none, `x_1` as little as `x_2`.
+    units: channel -> unit that is told; a header that is the name of one has none either, `phi_m` no metres.
     """
+    if column.header in units:
+        return column.header, None
     if required.get(column.header) == "1" and column.unit in (None, "", "1"):
         return column.header, "1"
     name, unit = split(column.header, source)
@@ -169,7 +175,11 @@ def _sorted(time: np.ndarray, values: np.ndarray, where: str) -> tuple[np.ndarra
             raise InputError(f"{where}: sample {bad[0]} has the {what} {array[bad[0]]}; repair or cut the recording")
     back = np.flatnonzero(np.diff(time) <= 0)
     if back.size:
-        raise InputError(f"{where}: the time does not increase after sample {back[0]}; sort it, keep each time once")
+        first, then = time[back[0]], time[back[0] + 1]
+        raise InputError(
+            f"{where.partition(': column ')[0]}: the time does not increase after sample {back[0]} ({first:.9g} s, then "
+            f"{then:.9g} s); sort it, keep each time once"
+        )
     return time, values
 
 
