@@ -18,7 +18,7 @@ from greygate.hardware.facts import FACTS
 from greygate.mismatch import effects as effect_table
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.joining import begun
-from greygate.mismatch.model import BLUR, EARLY, TIMING
+from greygate.mismatch.model import NUISANCES
 from greygate.mismatch.simulation import asked, check, corrected
 from greygate.plants import mjcf as mjcf_model
 from greygate.plants.plant import Equation, Plant
@@ -118,6 +118,8 @@ def _joint(plant: Plant, made: Corrected, place: str, equation: Equation) -> Joi
     sizes = {kind: plant.parameters[f"{kind}_{name}"].value for kind in kinds}
     carried = {kind: [f"{kind}_{name}"] for kind in kinds if f"{kind}_{name}" in made.changed}
     left = [path.partition(".")[2] for path in made.added if path.partition(".")[0] == place]
+    gain = f"gain_{mjcf_model.TORQUE}{name}"
+    left += [f"{gain} {made.changed[gain][1]:.6g}, of what the log has"] if gain in made.changed else []
     return Joint(equation.state, name, **sizes, carried=carried, left=left)
 
 
@@ -163,7 +165,7 @@ def _identified(folder: Path, diagnosis: Mapping | None) -> Plant:
     keys = asked(check(diagnosis))
     named = {key: effect for key, effect in effect_table.named(rig, recording, keys).items() if key in keys}
     model, found = corrected(rig, recording, diagnosis, named)
-    without = {TIMING: 0.0, EARLY: 0.0, BLUR: 0.0}  # of the comparison with a recording, which an FMU has not
+    without = dict.fromkeys(NUISANCES, 0.0)  # of the comparison with a recording, which an FMU has not
     if beside := model.beside(found | {s: v for s, v in without.items() if s in found}):
         raise InputError(
             f"diagnosis: corrects what is recorded as {', '.join(beside)}, before or after the plant's equations, "

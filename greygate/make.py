@@ -40,7 +40,7 @@ from greygate.plain import json_text, plain
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording, run_name
 from greygate.plants.written import entries, text
-from greygate.progress import Budget, Progress, silent
+from greygate.progress import Budget, Progress, once, silent
 from greygate.project import compile_project, verify_project
 from greygate.reporting import study_of
 from greygate.steps import NOTHING, Done, Steps, Told
@@ -48,6 +48,7 @@ from greygate.steps import NOTHING, Done, Steps, Told
 KIND, PAGE, CONTROL = "make", "index.html", "control"
 PICTURE, FITTED = "picture.html", "fitted.html"  # in the folder of a step: what the page shows of it, or the next
 DIAGNOSIS, FIGURES, BUILD, REPORT = "diagnosis.json", "validation.json", "build", "report.json"
+UNHEARD = 5.0  # times what an input moves on record: limits so wide are likely in another unit
 TABLE, HARDWARE = "control.json", "network, Verilog"  # of controllers, the last of which is that
 
 
@@ -332,6 +333,12 @@ def machine(asked: Asked, plant: Plant, where: Path, noise: Mapping[str, float] 
     if still := [n for n, (low, high) in ranges.items() if low == high]:
         why = f"{still[0]} does not move on record; give --limits {still[0]}=LOW:HIGH, or a column of REFERENCE.csv"
         raise InputError(f"--control: {why}")
+    for name, (low, high) in asked.track.limits.items():
+        least, most = asked.on_record(name) if name in asked.task.inputs else (low, high)
+        if high - low > UNHEARD * (most - least) > 0:
+            unit = asked.task.plant.unit(name)
+            seen = f"on record {name} goes from {least:g} to {most:g} {unit}"
+            once(f"--limits {name}={low:g}:{high:g} is in {unit}; {seen}")
     wishes = Wishes(ranges | dict(asked.track.limits), asked.track.rates)
     return tracking(where, plant, noise, asked.track.reference, wishes)
 
@@ -357,14 +364,17 @@ def _control(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     written(chosen, done, new)
     (new / TABLE).write_text(schemas.text("control-own", plain(done.found)), encoding="utf-8", newline="\n")
     _draw(new, story.controlled(done.found, driven(chosen, done.last[Case.NOMINAL])))
-    rows, bits = done.found["rows"], done.found["network"]["differing_bits"]
+    rows = done.found["rows"]
+    imitating = done.found["network"]
     errors = {name: {t: e["rms"] for t, e in rows[name][Case.NOMINAL]["errors"].items()} for name in rows}
     absent = _absent(correct(asked.task, asked.heads, diagnosis))
     said = [f"{t} errs by {asked.shown(t, errors[HARDWARE][t])} under a network in Verilog, "
             f"{asked.shown(t, errors['predictive'][t])} under predictive control, {asked.shown(t, errors['PI'][t])} "
             "under PI" for t in done.found["units"]]  # fmt: skip
     said += [f"controlled without {absent}, which the plant's file does not say"] if absent else []
-    return Told(f"{'; '.join(said)}; {bits} bits differ", TABLE, not bits)
+    said += [] if imitating["matches"] else [imitating["said"]]
+    bits = imitating["differing_bits"]
+    return Told(f"{'; '.join(said)}; {bits} bits differ", TABLE, imitating["matches"] and not bits)
 
 
 STEPS: dict[str, tuple[str, Callable[[Asked, Path, Path, Progress], Told]]] = {  # name -> its heading, its work

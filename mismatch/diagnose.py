@@ -122,7 +122,7 @@ def diagnose(
     not_shown |= {name: why for name, why in table.unmet(rig, recording).items() if name not in offered}
     progress("calibrating")
     result = _diagnosed(search, progress)
-    result.not_shown, result.words = not_shown, lines
+    result.not_shown, result.words, result.told = not_shown, lines, rig.stated
     if result.verdict == Verdict.MISSING_PHYSICS and _faults(search, result.best):
         result.verdict = Verdict.RECORDING_FAULT
     if result.verdict == Verdict.CONSISTENT and not search.left_out("how large what is not there may be"):

@@ -17,7 +17,7 @@ from greygate.mismatch.excitation import unseen
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.intervals import interval, least_share, margin, reported
 from greygate.mismatch.locate import located
-from greygate.mismatch.model import TINY
+from greygate.mismatch.model import NUISANCES, TINY
 from greygate.mismatch.noise import PLACES, Noise
 from greygate.mismatch.rig import IN, Rig
 from greygate.mismatch.ruled_out import why
@@ -77,6 +77,7 @@ class Diagnosis:
     not_shown: dict[str, str] = field(default_factory=dict)
     not_larger_than: list[dict] = field(default_factory=list)
     alone: dict[str, dict] = field(default_factory=dict)
+    told: bool = True
     words: Callable[["Diagnosis"], Iterable[str]] = lambda found: (f"<Diagnosis {found.rig.title}: {found.verdict}>",)
 
     def __str__(self) -> str:
@@ -101,6 +102,7 @@ class Diagnosis:
                 "remaining": self._remaining(),
                 **({"recordings": own} if (own := self._recordings()) else {}),
                 **({"begins": begun} if (begun := self._begins()) else {}),
+                **({"simulation": own} if (own := self._own_values()) else {}),
                 **({"explained": round(self.explained, DIGITS)} if self.verdict == Verdict.PARTLY_EXPLAINED else {}),
                 **({"refused": self.refused} if self.refused else {}),
                 **({"not_tried": [*self.search.untried]} if self.search.untried else {}),
@@ -273,7 +275,7 @@ class Diagnosis:
         usual = np.median(told[np.isfinite(told).all(axis=1)], axis=0)
         return {
             name: {
-                "told": rig.channels[name].sigma,
+                "told": rig.channels[name].sigma if self.told else None,
                 "found": float(f"{size:.{PLACES}g}"),
                 "unit": rig.channels[name].unit,
                 "memory": len(ar),
@@ -307,6 +309,10 @@ class Diagnosis:
         unknown = next(u for u in self.corrected.unknowns if u.symbol == symbol)
         value, ends = self.corrected.values[symbol], [unknown.low, unknown.high]
         return symbol not in self.best.released and bool(np.isclose(value, ends, rtol=ON_BOUND, atol=0.0).any())
+
+    def _own_values(self) -> dict[str, float]:
+        """The values of what the simulation itself leaves open, such as when its inputs act."""
+        return {s: self.corrected.values[s] for s in NUISANCES if s in self.corrected.values}
 
     def _begins(self) -> dict[str, dict[str, float]]:
         """By recording and state, by how much its free run begins off what is read there."""

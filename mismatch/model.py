@@ -36,6 +36,7 @@ MOST_EARLY = 0.5  # at most, which are inputs that never rest: of m moves a samp
 RAMP, STEEPEST = (-0.5, 0.5), 4.0  # ends of a sample; slope there of such an input over `EARLY` (1 - `EARLY`)
 PARTS = 10  # of a sample, at most, in each of which a filtered input is constant: whole steps of the plant
 BLUR = "input_blur"  # a nuisance: at 0 an acceleration is smoothed over SMOOTH, at 1 over the shorter FINER * SMOOTH
+NUISANCES = (TIMING, EARLY, BLUR)
 FINER = 0.6  # of SMOOTH
 SMOOTH = 20  # samples on either side of a sample, over which a smoothed rate is taken
 SMOOTHED = (0.005, 0.5)  # of a signal's memory, between which smoothing stays: it takes noise and leaves motion

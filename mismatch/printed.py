@@ -106,6 +106,7 @@ class Diagnosed(TypedDict):
     begins: NotRequired[
         Annotated[dict[str, dict[str, Figure]], "By recording and state: how far off its reading a free run begins."]
     ]
+    simulation: NotRequired[Annotated[dict[str, Figure], "What the simulation itself leaves open: input_timing, s."]]
     explained: NotRequired[Figure]
     refused: NotRequired[list[str]]
     units: NotRequired[list[str]]

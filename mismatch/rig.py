@@ -29,6 +29,7 @@ PLANTS = Path(__file__).parent.parent / "machines"  # NAME.toml in one of its fo
 SHORTEST = 40  # samples: a shorter recording leaves nothing to judge a fit by; it is held out in twenty blocks
 READABLE = 2  # samples, from which a sample time follows
 JITTER = 1e-3  # of a sample interval, by which one interval may differ from the next
+COARSER = 1.5  # times the rig's sample interval: a log so coarse leaves every other sample to be guessed
 TIME_ROUNDING = 1e-12  # of the last time, by which the difference of two written times may be off
 FEWEST = 10  # samples: a shorter window is mostly its own beginning
 LONGEST = 1e9  # s of a sample, a window, a settling: thirty years
@@ -247,6 +248,10 @@ class Rig:
     def _logged(self, path: Path | str, least: int) -> Recording:
         """The channels of a log that the rig has, at its sample time; a column without a unit has the rig's."""
         found = read_recording(path, bare=True, told=once)
+        if found.dt > COARSER * self.dt:
+            wish = f"write sample_time_s = {found.dt:g}, or the unit of the time if it is not s"
+            other = f"sampled every {found.dt:g} s, sample_time_s = {self.dt:g} in rig.toml"
+            raise InputError(f"{path}: {other}; what lies between is not on record: {wish}")
         if abs(found.dt - self.dt) > JITTER * self.dt:
             found = read_recording(path, bare=True, resample=self.dt, told=once)
         if missing := [name for name in self.channels if name not in found.channels]:

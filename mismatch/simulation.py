@@ -73,6 +73,8 @@ def corrected(
         if symbol not in model.values:
             raise InputError(f"diagnosis: parameter {symbol} is unknown to {rig.plant.name}")
     begins = diagnosis.get("begins", {}).get(recording.name, {}) if diagnosis else {}
+    own = diagnosis.get("simulation", {}) if diagnosis else {}
+    values |= {symbol: value for symbol, value in own.items() if symbol in model.values}
     values |= {key: begins[state] for key, state in model.begins.items() if state in begins}
     return model, {**model.values, **values}
 
@@ -107,6 +109,7 @@ ENTRIES = {"plant": line, "effects": listed(_effect), "parameters": PARAMETERS}
 OWN = {
     "recordings": named(lambda value, where: table(value, where, {}, {"parameters": PARAMETERS}, others=True), line),
     "begins": named(named(number, check_name), line),
+    "simulation": named(number, check_name),
 }
 
 

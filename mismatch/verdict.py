@@ -23,7 +23,7 @@ class Verdict(StrEnum):
 
 
 _MEANS = {
-    Verdict.CONSISTENT: "the parameters, inside their tolerances, explain the recording",
+    Verdict.CONSISTENT: "the parameters alone explain the recording",
     Verdict.PARAMETER_ERROR: "one parameter lies outside its tolerance, and that explains the recording",
     Verdict.MISSING_PHYSICS: "the simulation leaves out what is named here",
     Verdict.PARTLY_EXPLAINED: "what is named here is missing, and something else too",

@@ -136,7 +136,7 @@ def alone(found: Mapping) -> str:
 
 def nothing_left(result: Diagnosis) -> str:
     """What is said where nothing remains: a sensor's noise is only spoken of where somebody told it."""
-    if result.rig.stated:
+    if result.told:
         return "nothing above what the sensors' noise makes"
     return "nothing that goes with the machine's signals; whether it is noise, nobody told"
 
@@ -154,7 +154,7 @@ def noises(found: Mapping) -> list[str]:
     """Each channel whose noise is not what rig.toml tells."""
     out = []
     for name, noise in found.get("noise", {}).items():
-        if not noise["as_told"]:
+        if noise["told"] and not noise["as_told"]:
             coloured = f", remembers {noise['memory']} samples" if noise["memory"] else ""
             size, times = amount(noise["found"], None, noise["unit"]), noise["found"] / noise["told"]
             out.append(f"{name}: {size}, {times:.2g} times what rig.toml tells{coloured}")
@@ -193,8 +193,11 @@ def _as_well(others: Sequence[str]) -> str:
 
 def parameter(result: Diagnosis, name: str, found: Mapping, rig: Rig | None = None) -> str:
     """A fitted parameter beside the value of its data sheet. rig: as it is in one recording."""
-    off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else ""
-    sheet = given((rig or result.rig).plant.parameters[name], found["value"])
+    known = (rig or result.rig).plant.parameters[name]
+    low, high = found["ci95"]
+    far = low > known.value + known.reach or high < known.value - known.reach
+    off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else " beyond its tolerance" if far else ""
+    sheet = given(known, found["value"])
     return f"{name:<14} {amount(found['value'], found['ci95'], found['unit'])}  (data sheet {sheet}){off}"
 
 

@@ -373,6 +373,7 @@ def corrected(plant: Plant, values: Mapping[str, float]) -> str:
     model = load(path)
     spec = _mujoco().MjSpec.from_file(str(path))
     spec.compile()
+    spec.option.timestep = plant.step
     for symbol, settings in plant.outside.settings.items():
         if values[symbol] != plant.parameters[symbol].value:
             for name, index, factor in settings:
@@ -397,7 +398,8 @@ def _write(spec: Any, model: Any, name: str, index: tuple[int, ...], value: floa
     kind, _, field_ = name.partition("_")
     elements = {"dof": spec.joints, "jnt": spec.joints, "body": spec.bodies, "actuator": spec.actuators}[kind]
     element = next(e for e in elements if e.id == index[0])
-    if kind == "body" and not element.explicitinertial:
+    whole = kind == "body" and np.isfinite(element.fullinertia).any()  # as of a URDF: not along its own axes
+    if kind == "body" and (whole or not element.explicitinertial):
         element.explicitinertial = True
         b = index[0]
         element.mass, element.ipos, element.iquat = model.body_mass[b], model.body_ipos[b], model.body_iquat[b]

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -399,6 +400,38 @@ def test_a_corrected_model_loads_and_moves_as_the_corrected_simulation(greygate,
     wanted = stepped(tmp_path / "new.xml", inputs(["m1", "m2"]))[: len(found)]
     assert np.abs(wanted - stepped(path, inputs(["m1", "m2"]))[: len(found)]).max() > 1e-3
     assert np.abs(found["el_bow"] - wanted[:, 1]).max() < 1e-6 * np.ptp(wanted[:, 1])
+
+
+def test_a_corrected_model_has_the_step_of_its_rig(greygate, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = write(tmp_path)
+    log(tmp_path, path, inputs(["m1", "m2"]))
+    assert greygate("init-rig", "log.csv", "--model", "arm.xml", "--out", "arm", *MAPPED)[0] == 0
+    rig = load("arm")
+    text = (tmp_path / "arm" / "rig.toml").read_text()
+    fine = rig.plant.step / 4
+    (tmp_path / "arm" / "rig.toml").write_text(text.replace("predict =", f"step_s = {fine!r}\npredict =", 1))
+    (tmp_path / "d.json").write_text(json.dumps(said(rig, [], {})))
+    assert greygate("export", "mjcf", "arm", "--out", "new.xml", "--diagnosis", "d.json")[0] == 0
+    assert mujoco.MjModel.from_xml_path("new.xml").opt.timestep == pytest.approx(fine, rel=1e-12)
+
+
+def test_a_body_of_a_urdf_is_corrected_along_its_own_axes(tmp_path):
+    path = tmp_path / "arm.urdf"
+    inertia = '<inertia ixx="0.002" ixy="0.0003" ixz="0" iyy="0.003" iyz="0" izz="0.004"/>'
+    path.write_text(re.sub(r"<inertia [^>]*/>", inertia, URDF))
+    path.write_bytes(mjcf.bundle(path)["arm.urdf"])  # as a rig keeps it
+    assert 'ixy="0.0003"' in path.read_text()
+    plant = mjcf.read(path, ["torque_shoulder"])
+    (symbol,) = (s for s in plant.parameters if s.startswith("inertia_"))
+    value = 1.1 * plant.parameters[symbol].value
+    new = mujoco.MjModel.from_xml_string(
+        mjcf.corrected(plant, {s: p.value for s, p in plant.parameters.items()} | {symbol: value})
+    )
+    old = mjcf.load(path)
+    b = int(np.argmax(old.body_inertia[:, 0]))
+    np.testing.assert_allclose(new.body_inertia[b].max(), 1.1 * old.body_inertia[b].max(), rtol=1e-6)
+    np.testing.assert_allclose(np.abs(new.body_iquat[b]), np.abs(old.body_iquat[b]), atol=1e-6)
 
 
 @pytest.mark.parametrize(

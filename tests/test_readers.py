@@ -1,6 +1,7 @@
 """One reader for the recordings of other tools: the same numbers from every format and every header."""
 
 import gzip
+import importlib
 import json
 import os
 import re
@@ -698,3 +699,40 @@ def test_a_reader_that_has_no_memory_left_to_say_so_is_told_from_a_damaged_file(
     done = subprocess.run([sys.executable, "-c", code, tmp_path / "a", tmp_path, said], capture_output=True, text=True)
     assert done.returncode == child.MEMORY
     assert "that reading it may take" in done.stdout
+
+
+def test_what_is_not_read_is_said(tmp_path, greygate):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values in {"t": 0.01 * np.arange(9), "u": np.arange(9.0), "q": np.zeros((9, 2))}.items():
+            file[name] = values
+            file[name].attrs["unit"] = "s" if name == "t" else "V"
+        file.create_group("sub")["w"] = np.arange(9.0)
+    code, out, error = greygate("look", tmp_path / "a.h5")
+    assert (code, "u " in out) == (0, True)
+    assert error == f"{tmp_path / 'a.h5'}: left out: q (9 x 2), sub (a group)\n"
+    pyarrow, parquet = pytest.importorskip("pyarrow"), importlib.import_module("pyarrow.parquet")
+    table = pyarrow.table({"t": 0.01 * np.arange(9), "u [V]": np.arange(9.0), "note": ["a"] * 9})
+    parquet.write_table(table, tmp_path / "a.parquet")
+    assert greygate("look", tmp_path / "a.parquet")[2] == f"{tmp_path / 'a.parquet'}: left out: note (string)\n"
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"t": 0.01 * np.arange(9), "n [1]": (1 << 53) + np.arange(1, 10)}, "column n: integers beyond 2^53"),
+        ({"t": 0.01 * np.arange(9), "n [1]": np.arange(9, dtype=np.uint64) + np.uint64(1 << 63)}, "beyond 2^53"),
+        ({"time": 45352.5 + np.arange(9) / 8.64e6, "u [V]": np.arange(9.0)}, "seems to count days; tell its unit"),
+    ],
+)
+def test_what_a_float_or_a_second_cannot_hold_is_refused(columns, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        read_recording(columns)
+
+
+def test_a_unit_that_is_told_is_of_the_whole_header_and_a_times_own_is_read(tmp_path):
+    read = read_recording({"t_ms": 10.0 * np.arange(9), "phi_m": np.arange(9.0)}, units={"phi_m": "deg"})
+    assert (read.dt, [*read.channels], read["phi_m"][1]) == (0.01, ["phi_m"], pytest.approx(np.pi / 180))
+    assert [*read_recording({"t": np.arange(9.0), "phi_m": np.arange(9.0)}).units.items()] == [("phi", "m")]
+    (tmp_path / "a.csv").write_text("time_ms,u_V\n" + "".join(f"{20 * k},{k}\n" for k in range(9)))
+    assert read_recording(tmp_path / "a.csv").dt == 0.02

@@ -132,7 +132,7 @@ def mjcf(
     lines = []
     for one in found:
         sizes = [f"{what} {getattr(one, what):.6g} ({', '.join(terms)})" for what, terms in one.carried.items()]
-        lines.append(f"{one.name}: {'; '.join(sizes) or 'nothing resists'}")
+        lines.append(f"{one.name}: {'; '.join(sizes) or 'nothing to write'}")
         lines += [f"  not here: {', '.join(one.left)}"] * bool(one.left)
     result: ExportedMjcf = {"out": str(out), "joints": found}
     give("export-mjcf", result, as_json, [*lines, f"written to {out}"])

@@ -58,7 +58,7 @@ SENSOR = typer.Option(metavar="CHANNEL", help="An output of the plant that is me
 SETTLE = typer.Option(help="First samples of a record that give only its initial state, or auto.")
 TARGET = typer.Option(metavar="NAME", help=f"FPGA or family: {', '.join(TARGETS)}.")
 TEST = typer.Option(metavar="FILE.csv", help="Judges the result, once, at the end.")
-LIMITS = typer.Option(metavar="NAME=LOW:HIGH", help="Of a controlled input, an output, a state.")
+LIMITS = typer.Option(metavar="NAME=LOW:HIGH", help="Of a controlled input, an output, a state, in SI units.")
 RATE = typer.Option(metavar="NAME=PER_S", help="Largest change of an input in a second.")
 
 Effects = Annotated[list[Path], typer.Option(metavar="FILE.toml", help="Effects besides greygate's own.")]

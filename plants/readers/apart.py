@@ -1,6 +1,6 @@
 """The other process for recordings (`greygate.foreign`): each reader gives columns as dictionaries.
 
-header, values, and where the format has them: unit, time (own times, s) and time_unit.
+header, values, and where the format has them: unit, time (own times, s) and time_unit; or left: what it is instead.
 """
 
 import sys
@@ -42,7 +42,10 @@ def _tree(inside: Contents, name: str, item: Any, depth: int) -> Iterator[tuple[
         if depth < DEEP:
             yield name, dict(pair for k, v in inside.items(item) for pair in _tree(inside, k, v, depth + 1))
         return
-    if item.dtype.kind not in "fiubc" or item.shape is None or item.size < 2 or item.size != max(item.shape):
+    if item.shape is None or item.size < 2:
+        return
+    if item.dtype.kind not in "fiubc" or item.size != max(item.shape):
+        yield f"{name}@left", " x ".join(map(str, item.shape)) if item.dtype.kind in "fiubc" else "no numbers"
         return
     if inside.h5py.check_enum_dtype(item.dtype) is not None:
         return

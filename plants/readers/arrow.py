@@ -35,6 +35,7 @@ def parquet() -> Read:
             moment = types.is_timestamp(kind) or types.is_time(kind) or types.is_duration(kind)
             number = types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)
             if not moment and not number and not types.is_boolean(kind):
+                yield field.name, {"header": field.name, "left": str(kind)}
                 continue
             if names[field.name] > 1:
                 raise InputError(f"two columns are called {shown(field.name)}; rename one of them")

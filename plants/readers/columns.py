@@ -1,5 +1,6 @@
 """From columns to a recording: names and units, the time, uniform or resampled."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,7 +12,11 @@ from greygate.plants.units.reading import converted, same, split, suffixed
 
 Told = Callable[[str], None]
 CLOCKS = ("time", "times", "timestamp", "timestamps", "zeit", "elapsed", "seconds", "time_s", "x_value")
+WHOLE = 1 << 53  # beyond it a float does not tell one integer from the next
+DAYS = (2e4, 8e4)  # of a spreadsheet, which counts them from 1900: from 1954 to 2119
+SOONEST = 1.2e-5  # of them, a second: as seconds it would be the 80 kHz of a clock that runs for hours
 UNKNOWN = "?"  # the unit of a column that is merely looked at
+CLOCK_OF = re.compile(r"(t|time|timestamp)_(ms|us|ns|min)", re.I)
 UNIFORM = 1e-3  # of a step: the largest error of a printed time
 GAP = 1.5  # of a median step: a longer one is a gap
 FINER = 1.5  # of a median step: a wanted step that is longer needs a filter first
@@ -90,19 +95,27 @@ def channels(
                 f"{source}: time {name} begins at {column.values[0]:g} and has no unit; tell it: --unit {name}=ms, or "
                 "us, ns or s"
             )
+        if not written and _counts_days(np.asarray(column.values, float)):
+            raise InputError(
+                f"{source}: time {name} begins at {column.values[0]:g} and seems to count days; tell its unit: "
+                f"--unit {name}=d, or s"
+            )
         written = written or "s"
         time, _ = converted(_since(column.values), written, f"{source}: time {name}", "s")
     bare = [name for column, name, unit in named if not (units.get(name) or column.unit or unit or unitless)]
     if bare:
+        numbers = " ".join(f"--unit {name}=1" for name in bare)
         raise InputError(
-            f"{source}: {_listed(bare)} no unit; write {bare[0]} [unit] in "
-            f"its header, or have a file written that has it: greygate look {source} --out NEW.csv --unit {bare[0]}=UNIT; "
-            f"of plain numbers: {' '.join(f'--unit {name}=1' for name in bare)}"
+            f"{source}: {_listed(bare)} no unit; write {bare[0]} [unit] in its header, or have a file written that has "
+            f"it: greygate look {source} --out NEW.csv --unit {bare[0]}=UNIT; of plain numbers: {numbers}"
         )
     found = []
     for column, name, unit in named:
         where, told = f"{source}: column {name}", units.pop(name, "") or column.unit or unit or unitless or ""
-        values, kind = np.asarray(column.values, float), told
+        raw = np.asarray(column.values)
+        if raw.dtype.kind in "iu" and raw.size and max(-int(raw.min()), int(raw.max())) > WHOLE:
+            raise InputError(f"{where}: integers beyond 2^53, which no float tells apart; subtract where they begin")
+        values, kind = raw.astype(float), told
         if told != UNKNOWN:
             values, kind = converted(values, told, where, required.get(name))
         own = column.time if column.time is not None else time
@@ -133,6 +146,8 @@ def _named(
     """
     if column.header in units:
         return column.header, None
+    if timed := CLOCK_OF.fullmatch(column.header):
+        return timed[1], timed[2]
     if required.get(column.header) == "1" and column.unit in (None, "", "1"):
         return column.header, "1"
     name, unit = split(column.header, source)
@@ -155,6 +170,10 @@ def _since(values: np.ndarray) -> np.ndarray:
     return values.astype(float)
 
 
+def _counts_days(values: np.ndarray) -> bool:
+    return len(values) > 1 and DAYS[0] < values[0] < DAYS[1] and float(np.median(np.diff(values))) < SOONEST
+
+
 def _listed(names: Sequence[str]) -> str:
     return f"columns {', '.join(names)}: have" if len(names) > 1 else f"column {names[0]}: has"
 
@@ -175,10 +194,10 @@ def _sorted(time: np.ndarray, values: np.ndarray, where: str) -> tuple[np.ndarra
             raise InputError(f"{where}: sample {bad[0]} has the {what} {array[bad[0]]}; repair or cut the recording")
     back = np.flatnonzero(np.diff(time) <= 0)
     if back.size:
-        first, then = time[back[0]], time[back[0] + 1]
+        file, (first, then) = where.partition(": column ")[0], time[back[0] : back[0] + 2]
         raise InputError(
-            f"{where.partition(': column ')[0]}: the time does not increase after sample {back[0]} ({first:.9g} s, then "
-            f"{then:.9g} s); sort it, keep each time once"
+            f"{file}: the time does not increase after sample {back[0]} ({first:.9g} s, then {then:.9g} s); "
+            "sort it, keep each time once"
         )
     return time, values
 

@@ -9,10 +9,11 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.foreign import apart
-from greygate.plants.readers.columns import Channel, Column, Told, channels, recording
+from greygate.plants.readers.columns import CLOCK_OF, Channel, Column, Told, channels, recording
 from greygate.plants.recording import UNITS, Recording, read_csv
 from greygate.plants.table import read_header, read_table, read_united
 from greygate.plants.units.reading import SUFFIXES, converted
+from greygate.progress import once
 from greygate.reading import line, named, read_toml, table
 
 FORMATS = {
@@ -101,7 +102,9 @@ def _styled(path: Path, required: Mapping[str, str], *asked: Any) -> bool:
     if any(required.get(h) == "1" for h in header):
         return True
     if not header or header[0] not in ("t", "t_s", "k"):
-        return any(_STYLED.search(h) for h in header) or (bool(header) and header[0].lower() in ("time", "time_s"))
+        return any(_STYLED.search(h) for h in header) or (
+            bool(header) and bool(header[0].lower() in ("time", "time_s") or CLOCK_OF.fullmatch(header[0]))
+        )
     others = {} if header[0] == "k" else required
     return any(_STYLED.search(h) or _plain(h) or _other(h, others) for h in header) or second
 
@@ -154,7 +157,7 @@ def _of_python(source: Any) -> list[Column]:
             values = (values - values[0]) / np.timedelta64(1, "s")
         if values.dtype.kind not in "fiu" or values.ndim != 1:
             raise InputError(f"column {shown(str(name))}: holds no vector of numbers; leave it out")
-        found.append(Column(str(name), values.astype(float)))
+        found.append(Column(str(name), values))
     return found
 
 
@@ -180,7 +183,17 @@ def _tree(found: Mapping[str, Any], path: Path) -> list[Column]:
     ]
     if not columns:
         raise InputError(f"{path}: holds no vectors; save each channel, and the time t, as a vector")
+    left = {k.removesuffix("@left"): v for k, v in found.items() if k.endswith("@left")}
+    left |= {k: " x ".join(map(str, v.shape)) for k, v in vectors.items() if v.size > max(v.shape, default=1)}
+    left |= {k: "a group" for k, v in found.items() if isinstance(v, Mapping) and k != "units"}
+    _leave(path, left)
     return columns
+
+
+def _leave(path: Path, left: Mapping[str, str]) -> None:
+    """Say what is not read. left: name -> what it is."""
+    if left:
+        once(f"{path}: left out: {', '.join(f'{name} ({what})' for name, what in left.items())}")
 
 
 def _text(value: Any) -> str | None:
@@ -189,8 +202,9 @@ def _text(value: Any) -> str | None:
 
 def _columns(path: Path, kind: str) -> list[Column]:
     """Channels with their units and their own times, as the other formats have them."""
-    found = []
-    for told in apart(path, kind, APART).values():
+    found, every = [], apart(path, kind, APART).values()
+    _leave(path, {told["header"]: told["left"] for told in every if "left" in told})
+    for told in (told for told in every if "left" not in told):
         time, unit = told.get("time"), told.get("time_unit") or "s"
         if time is not None and unit != "s":
             time, _ = converted(time.astype(float), unit, f"{path}: time of {told['header']}", "s")
