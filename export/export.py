@@ -17,7 +17,7 @@ from greygate.hardware.build import Project
 from greygate.hardware.facts import FACTS
 from greygate.mismatch import effects as effect_table
 from greygate.mismatch import rig as rigs
-from greygate.mismatch.joining import begun
+from greygate.mismatch.joining import acting, begun
 from greygate.mismatch.model import NUISANCES
 from greygate.mismatch.simulation import asked, check, corrected
 from greygate.plants import mjcf as mjcf_model
@@ -166,13 +166,16 @@ def _identified(folder: Path, diagnosis: Mapping | None) -> Plant:
     named = {key: effect for key, effect in effect_table.named(rig, recording, keys).items() if key in keys}
     model, found = corrected(rig, recording, diagnosis, named)
     without = dict.fromkeys(NUISANCES, 0.0)  # of the comparison with a recording, which an FMU has not
-    if beside := model.beside(found | {s: v for s, v in without.items() if s in found}):
+    values = found | {s: v for s, v in without.items() if s in found}
+    laws = model.laws(values)
+    plant, left = acting(model.plant, laws)
+    if beside := model.beside(values, {*laws} - {*left}):
         raise InputError(
             f"diagnosis: corrects what is recorded as {', '.join(beside)}, before or after the plant's equations, "
-            "which cannot hold that: correct the signals themselves"
+            "which hold no delay, lag, sensor or logger: correct the signals themselves"
         )
-    kept = {s: replace(p, value=float(found[s])) for s, p in model.plant.parameters.items() if s not in without}
-    whole = replace(model.plant, parameters=kept, outputs=tuple(rig.predict))
+    kept = {s: replace(p, value=float(found[s])) for s, p in plant.parameters.items() if s not in without}
+    whole = replace(plant, parameters=kept, outputs=tuple(rig.predict))
     return _named(begun(whole, model.effects.values()))
 
 

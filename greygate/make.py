@@ -30,6 +30,7 @@ from greygate.identify.expert.task import Task
 from greygate.machines.asked import Wishes, columns_of, rough
 from greygate.machines.asked import of as tracking
 from greygate.machines.source import Source
+from greygate.mismatch.joining import acting
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.simulation import read as read_diagnosis
 from greygate.models.accuracy import Errors
@@ -244,10 +245,10 @@ def _correct(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     diagnosis = read_diagnosis(out / "diagnose" / DIAGNOSIS)
     found = correct(asked.task, asked.heads, diagnosis)
     remarks = [f"{where}: {what}, {why}" for where, what, why in found.said]
-    absent = _absent(found)
+    plant, absent = _whole(found)
     remarks += [f"not in this file: what the diagnosis says of {absent}, which no term can say"] if absent else []
     name = f"{asked.task.plant.name}.toml"
-    (new / name).write_text(text(found.plant, "\n".join(remarks)), encoding="utf-8", newline="\n")
+    (new / name).write_text(text(plant, "\n".join(remarks)), encoding="utf-8", newline="\n")
     _draw(new, _drawn(out / "diagnose", FITTED))
     fit = diagnosis["fit"]["holdout" if asked.held else "identify"]
     before, after = ({t: asked.shown(t, e[who]) for t, e in fit.items()} for who in ("simulation", "corrected"))
@@ -255,9 +256,11 @@ def _correct(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     return Told(f"{said}; not in the file: {absent}" if absent else said, name)
 
 
-def _absent(found: Corrected) -> str:
-    """The inputs and sensors of which a corrected plant's file does not say all, and effects that it leaves out."""
-    return ", ".join([*{**found.filters, **found.readings}, *found.left])
+def _whole(found: Corrected) -> tuple[Plant, str]:
+    """The corrected plant, with the laws by which inputs act; the inputs, sensors and effects that it leaves out."""
+    laws = {name: [(kind, [repr(v) for v in given]) for kind, given in each] for name, each in found.filters.items()}
+    plant, left = acting(found.plant, laws)
+    return plant, ", ".join(dict.fromkeys([*left, *found.readings, *found.left]))
 
 
 def _files(asked: Asked, out: Path) -> tuple[dict[str, str], dict[str, str]]:
@@ -367,7 +370,7 @@ def _control(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     rows = done.found["rows"]
     imitating = done.found["network"]
     errors = {name: {t: e["rms"] for t, e in rows[name][Case.NOMINAL]["errors"].items()} for name in rows}
-    absent = _absent(correct(asked.task, asked.heads, diagnosis))
+    _, absent = _whole(correct(asked.task, asked.heads, diagnosis))
     said = [f"{t} errs by {asked.shown(t, errors[HARDWARE][t])} under a network in Verilog, "
             f"{asked.shown(t, errors['predictive'][t])} under predictive control, {asked.shown(t, errors['PI'][t])} "
             "under PI" for t in done.found["units"]]  # fmt: skip

@@ -4,13 +4,13 @@ Joining overwrites nothing of the plant: an effect's terms carry its key (`sprin
 error.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NoReturn
 
 from greygate.errors import InputError
 from greygate.mismatch.entries import SENSOR, TIME, Effect
-from greygate.plants.expressions import parse
+from greygate.plants.expressions import parse, replaced
 from greygate.plants.plant import Definition, Parameter, Plant, Values
 
 
@@ -37,6 +37,43 @@ def begun(plant: Plant, effects: Iterable[Effect]) -> Plant:
         for effect in effects for symbol, state in effect.states.items() if state.start is not None
     }  # fmt: skip
     return replace(plant, states={**plant.states, **first})
+
+
+LAWS = {  # filter of an input without memory -> the law of it, as in `model.FILTERS`
+    "offset": "{u} + {0}",
+    "skew": "{u} + {0} * abs({u})",
+    "dead_zone": "max({u} - {0}, 0) + min({u} + {0}, 0)",
+    "saturation": "{u} - {0} * (max({u} - {1}, 0) + min({u} + {1}, 0))",
+}
+
+
+def acting(plant: Plant, filters: Mapping[str, Sequence[tuple[str, Sequence[str]]]]) -> tuple[Plant, list[str]]:
+    """(a plant in which inputs act by the laws of their filters; those whose filters have none).
+
+    filters: input -> (kind, its parameters, as symbols or numbers) in their order.
+    """
+    rated = {how.partition(" ")[2] for how in plant.derived.values()}  # whose rate is that of what acts, too
+    none = rated if plant.outside is None else {*filters}
+    left = [n for n, kinds in filters.items() if n in none or any(kind not in LAWS for kind, _ in kinds)]
+    acts, laws = {}, {}
+    for name, kinds in filters.items():
+        if name in left:
+            continue
+        text, acts[name] = name, f"{name}_acts"
+        for kind, given in kinds:
+            text = LAWS[kind].format(*given, u=name if text == name else f"({text})")
+        laws[acts[name]] = Definition(acts[name], plant.inputs[name], {"law": text})
+    if taken := {*laws} & plant.symbols:
+        raise InputError(f"plant {plant.name}: {min(taken)} is what an input would act by; rename it")
+
+    def with_acts(terms: Mapping[str, str]) -> dict[str, str]:
+        return {term: replaced(text, acts) for term, text in terms.items()}
+
+    definitions = {n: replace(d, terms=with_acts(d.terms)) for n, d in plant.definitions.items()}
+    equations = {
+        n: replace(e, terms=with_acts(e.terms), storage=replaced(e.storage, acts)) for n, e in plant.equations.items()
+    }
+    return replace(plant, definitions={**laws, **definitions}, equations=equations), left
 
 
 class _Joining:

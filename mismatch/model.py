@@ -5,7 +5,7 @@ runs free in between. Where the rig has no window, it runs free from the first s
 """
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from threading import Lock
@@ -361,9 +361,14 @@ class Model:
         filters = self._filters.get(name, ())
         return [(kind, tuple(values[s] for s in symbols)) for kind, symbols in filters if values[symbols[0]] != 0.0]
 
-    def beside(self, values: Mapping[str, float]) -> list[str]:
+    def laws(self, values: Mapping[str, float]) -> dict[str, list[tuple[str, tuple[str, ...]]]]:
+        """Input -> the filters behind which it acts, with the symbols of their parameters."""
+        found = {n: [f for f in self._filters.get(n, ()) if values[f[1][0]] != 0.0] for n in self.plant.inputs}
+        return {name: filters for name, filters in found.items() if filters}
+
+    def beside(self, values: Mapping[str, float], but: Collection[str] = ()) -> list[str]:
         """Recorded signals that are filtered or misread before and after the plant: no part of its equations."""
-        filtered = [name for name in self._filters if any(self._acting(name, values))]
+        filtered = [name for name in self._filters if name not in but and any(self._acting(name, values))]
         read = [channel for channel in self.readings if any(self._shown(channel, values))]
         return sorted({name.removeprefix(SENSOR) for name in filtered} | {*read})
 

@@ -17,7 +17,8 @@ from greygate.control.choices import Method, Place
 from greygate.errors import InputError
 from greygate.hardware import controlled
 from greygate.identify.expert.diagnosed import Corrected
-from greygate.mismatch.model import Model
+from greygate.mismatch.joining import acting
+from greygate.mismatch.model import FILTERS, Model
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import simulate
@@ -221,9 +222,30 @@ def test_control_without_its_solver_is_refused_at_once(world, tmp_path, greygate
     assert not (tmp_path / "out").exists()
 
 
-def test_what_the_corrected_plant_does_not_say_is_said():
-    found = Corrected(None, {"u": []}, {"y": {}}, (), ["drift"])
-    assert make._absent(found) == "u, y, drift"
+def test_laws_of_inputs_stand_in_the_corrected_plant_and_what_does_not_is_said(world):
+    plant = Plant.read(world / "lag.toml")
+    laws = {"u": [("offset", (0.1,)), ("skew", (0.2,)), ("dead_zone", (0.3,)), ("saturation", (0.5, 0.8))]}
+    whole, absent = make._whole(Corrected(plant, laws, {"y": {}}, (), ["drift"]))
+    assert absent == "y, drift"
+    u = np.linspace(-2.0, 2.0, 400)
+    acts = u
+    for kind, given in laws["u"]:
+        acts = FILTERS[kind](acts, *given, 0.1)
+    found, wanted = (simulate(p, {"u": v}, sample_time=0.1, step=1e-2)["y"] for p, v in ((whole, u), (plant, acts)))
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-12)
+    whole, absent = make._whole(Corrected(plant, {"u": [("delay", (0.1,))]}, {}, (), []))
+    assert (whole, absent) == (plant, "u")
+
+
+def test_an_input_whose_rate_acts_has_no_law_of_its_own(tmp_path):
+    (tmp_path / "spring.toml").write_text("""outputs = ["f"]
+inputs = { x = "m", v = "m/s" }
+parameters = { k = [5.0, "N/m"], d = [0.1, "N s/m"] }
+derived = { v = "rate x" }
+definitions.force.f = { unit = "N", spring = "k * x", damper = "d * v" }
+""")
+    plant = Plant.read(tmp_path / "spring.toml")
+    assert acting(plant, {"x": [("offset", ("1.0",))]}) == (plant, ["x"])
 
 
 def test_a_plant_that_is_driven_by_a_sensor_is_not_controlled(world, tmp_path, reference):
