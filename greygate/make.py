@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
@@ -359,7 +359,11 @@ def _noise(asked: Asked, fit: Mapping[str, Mapping[str, float | None]]) -> dict[
 
 def _control(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     plant, diagnosis = out / "correct" / f"{asked.task.plant.name}.toml", read_diagnosis(out / "diagnose" / DIAGNOSIS)
-    chosen = machine(asked, Plant.read(plant), plant, _noise(asked, diagnosis["fit"]["identify"]))
+    found = correct(asked.task, asked.heads, diagnosis)
+    still = [n for n, filters in found.filters.items() if any(kind == "dead_zone" for kind, _ in filters)]
+    moving, absent = _whole(replace(found, filters={n: f for n, f in found.filters.items() if n not in still}))
+    absent = ", ".join([*(f"the dead zone of {n}" for n in still), *([absent] if absent else [])])
+    chosen = machine(asked, moving, plant, _noise(asked, diagnosis["fit"]["identify"]))
     done = table(chosen, Method.NETWORK, Place.RTL, progress)
     for cases in done.found["rows"].values():
         for run in cases.values():
@@ -370,11 +374,10 @@ def _control(asked: Asked, out: Path, new: Path, progress: Progress) -> Told:
     rows = done.found["rows"]
     imitating = done.found["network"]
     errors = {name: {t: e["rms"] for t, e in rows[name][Case.NOMINAL]["errors"].items()} for name in rows}
-    _, absent = _whole(correct(asked.task, asked.heads, diagnosis))
     said = [f"{t} errs by {asked.shown(t, errors[HARDWARE][t])} under a network in Verilog, "
             f"{asked.shown(t, errors['predictive'][t])} under predictive control, {asked.shown(t, errors['PI'][t])} "
             "under PI" for t in done.found["units"]]  # fmt: skip
-    said += [f"controlled without {absent}, which the plant's file does not say"] if absent else []
+    said += [f"controlled without {absent}"] if absent else []
     said += [] if imitating["matches"] else [imitating["said"]]
     bits = imitating["differing_bits"]
     return Told(f"{'; '.join(said)}; {bits} bits differ", TABLE, imitating["matches"] and not bits)

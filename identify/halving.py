@@ -199,12 +199,14 @@ def sure_of(one: Tried, other: Tried, folds: Sequence[int]) -> float:
 def surely(one: Tried, other: Tried, folds: Sequence[int]) -> bool:
     """Whether `one` is better: by its error over everything held out, or, where that is no worse, in nearly each fold.
 
-    Of one stretch that is like no other the error says little, but that it is there: it is in the last fit.
+    Of one stretch that is like no other the error says little, but that it is there: it is in the last fit. Either way
+    it must be better by as much as a model of more weights has to be.
     """
-    if sure_of(one, other, folds) >= SURE:
+    if SIMPLER * one.over(folds) < other.over(folds) and sure_of(one, other, folds) >= SURE:
         return True
-    better = sum(one.over([place]) < other.over([place]) for place in folds)
-    as_good = one.over(folds) <= SIMPLER * other.over(folds)
+    ratios = [other.over([place]) / one.over([place]) for place in folds]
+    better = sum(ratio > 1.0 for ratio in ratios)
+    as_good = one.over(folds) <= SIMPLER * other.over(folds) and float(np.median(ratios)) > SIMPLER
     return as_good and float(binom.sf(better - 1, len(folds), 0.5)) <= 1 - SURE
 
 

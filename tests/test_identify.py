@@ -586,6 +586,24 @@ def test_what_more_training_spoils_stays_as_it_was(monkeypatch):
         assert search.tried[model].rung == number
 
 
+@pytest.mark.parametrize(
+    ("better", "last", "surely"),
+    [
+        (0.999, 1.0, False),  # a thousandth less in seven of eight folds is no reason for more weights
+        (0.9, 1.3, True),  # one stretch like no other says little
+        (0.9, 1.9, False),  # but nothing where it counts for more than all the others
+    ],
+)
+def test_a_network_is_better_in_nearly_each_fold_by_more_than_a_trifle(better, last, surely):
+    rng, base = np.random.default_rng(3), {}
+    model = halving.Model(LINEAR, Orders(1, (0,)), 0.0)
+    base = {place: [np.abs(rng.normal(1.0, 0.5, 400))] for place in range(8)}
+    other = {place: [(last if place == 7 else better) * errors[0]] for place, errors in base.items()}
+    linear, bent = (halving.Tried(model, 0, {}, errors, 0.0) for errors in (base, other))
+    assert halving.sure_of(bent, linear, range(8)) < halving.SURE or not surely
+    assert halving.surely(bent, linear, range(8)) is surely
+
+
 def test_a_rung_trains_on_windows_of_its_folds_alone(monkeypatch):
     search = halving.Halving(task({"a": recorded(1, samples=4000)}, ["u"], "y"), math.inf, 1)
     sent = []
