@@ -248,8 +248,31 @@ class ColouredSelection(Selection):
         """The same with earlier effects replaced by others that do better now that the last one is there."""
         for drop in best.effects[:-1]:
             best, current = self._replaced(best, current, drop, lambda plain, rare: plain)
-        best, current = self._in_form(best, current)
-        return best, self._anew(best, current) if best.effects and best.size == 1 else current
+        return self._in_form(best, current)
+
+    def from_the_sheet(self, best: Hypothesis, fit: Fit) -> tuple[Hypothesis, Fit]:
+        if best.size != 1 or not best.effects:
+            return best, fit
+        fit = self._anew(best, fit)
+        for other in [best, *(form for form, _ in forms(self.search, best, fit.values))]:
+            if not self.left(fit) or self.search.rig.window or self.search.skips(other):
+                continue
+            self.progress(f"fitting {other} from the beginning on")
+            again = self._led(other, coloured_likelihood(fit).order)
+            if again.cost < fit.cost - SURE:
+                self.runs.pop(other, None)
+                self.fits[other] = again
+                best, fit = other, again
+        return best, fit
+
+    def _led(self, hypothesis: Hypothesis, order: int) -> Fit:
+        """The fit that is led from the data sheet, and from the recording's beginning to its end."""
+        begun = self.search.fit(_white(self.plain), hypothesis, {}, iterations=0)
+        run = self.search.leading_to(begun)
+        if not np.isfinite(run.cost):
+            return run
+        likelihood = coloured_likelihood(run).learnt(run.likelihood.residual(run.values), order)
+        return self.search.fit(likelihood, hypothesis, run.values, enough=ROUGH)
 
     def _anew(self, best: Hypothesis, fit: Fit) -> Fit:
         """The fit of a first effect, or a better one from the data sheet on, where something is left.

@@ -523,12 +523,16 @@ class Search:
         """
         if self.budget.over or not self.lost(fit):
             return fit
+        return min(fit, self.leading_to(fit, **how), key=lambda f: float(np.sum(_astray(f))))
+
+    def leading_to(self, fit: Fit, **how) -> Fit:
+        """The fit of the same that is led from the data sheet, and from the recording's beginning to its end."""
         likelihood, unknowns, values = fit.likelihood, fit.unknowns, dict(fit.fixed)
         pieces = likelihood.model.pieces
         for share in LED:
             later = np.concatenate([np.arange(p.stop - p.start) >= share * (p.stop - p.start) for p in pieces])
             values = likelihood.without(later).fit(unknowns, values, **ROUGHLY).values
-        return min(fit, likelihood.fit(unknowns, values, **how), key=lambda f: float(np.sum(_astray(f))))
+        return likelihood.fit(unknowns, values, **how)
 
     def fit(
         self, likelihood: Likelihood, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options

@@ -207,10 +207,34 @@ class Selection:
             taken = next((found for found in proposals if self.pays(best, current, *found)), None)
             if taken is None:
                 break
-            best, current = self.exchanged(*taken)
+            best, current = self.from_the_sheet(*self.exchanged(*taken))
             self.progress(f"best so far: {best}")
             start = current
         return best, current
+
+    def from_the_sheet(self, best: Hypothesis, fit: Fit) -> tuple[Hypothesis, Fit]:
+        """A first effect in the form, and with the fit, that is best led from the data sheet, where something is left.
+
+        What was calibrated without it makes up for it, and what sticks has a valley for each place where it may.
+        """
+        if best.size != 1 or not best.effects or complete(fit) or self.search.rig.window:
+            return best, fit
+        for other in [best, *(form for form, _ in forms(self.search, best, fit.values))]:
+            if self.search.skips(other) or complete(fit):
+                continue
+            self.progress(f"fitting {other} from the beginning on")
+            begun = (
+                fit
+                if other == best
+                else self.fits.get(other) or self.search.fit(self.likelihood, other, {}, iterations=0)
+            )
+            again = self.search.leading_to(begun)
+            if not possible(self.search, other, again):
+                continue
+            self.add(other, again)
+            if again.cost < fit.cost - (0.0 if other == best else EVIDENCE * inflation(again)):
+                best, fit = other, again
+        return best, fit
 
     def rivalled(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
         """The same, or what grows from another single effect that saves nearly as much as the first that was taken.
