@@ -255,7 +255,7 @@ class ColouredSelection(Selection):
             return best, fit
         fit = self._anew(best, fit)
         for other in [best, *(form for form, _ in forms(self.search, best, fit.values))]:
-            if not self.left(fit) or self.search.rig.window or self.search.skips(other):
+            if not self.left(fit) or not self.search.leads or self.search.skips(other):
                 continue
             self.progress(f"fitting {other} from the beginning on")
             again = self._led(other, coloured_likelihood(fit).order)
@@ -268,7 +268,7 @@ class ColouredSelection(Selection):
     def _led(self, hypothesis: Hypothesis, order: int) -> Fit:
         """The fit that is led from the data sheet, and from the recording's beginning to its end."""
         begun = self.search.fit(_white(self.plain), hypothesis, {}, iterations=0)
-        run = self.search.leading_to(begun)
+        run = self.search.from_the_sheet(begun, hypothesis)
         if not np.isfinite(run.cost):
             return run
         likelihood = coloured_likelihood(run).learnt(run.likelihood.residual(run.values), order)

@@ -8,6 +8,7 @@ import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
+from types import MappingProxyType
 from typing import TypedDict
 
 import numpy as np
@@ -41,6 +42,9 @@ ADDED, LATE = "offset", "delay"  # the filters that add a constant, and that mov
 TIMELESS = "dead_zone", "skew", "saturation", "quantum"  # filters without memory: before a delay or behind it, alike
 LOST = 0.3  # of a channel's spread, above which its error says that the run is elsewhere
 LED = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording: to so much a lost run is fitted first
+EARLIER = (1 / 64, 1 / 32, *LED)  # what sticks sees few places in so little
+CLOSER = tuple(1.5**n / 16 for n in range(7))
+ALL: Mapping = MappingProxyType({})  # options of a fit: to the end
 LONG = 1.5  # of the travel: the longest period of a wave
 WAVES = 2.0  # periods of a scan for each cycle over the travel: neighbours differ by half a cycle
 FEWEST_WAVES = 4  # periods of a scan, at least
@@ -511,6 +515,11 @@ class Search:
         self.between = again.values[EARLY] > MOVED * again.deviation(EARLY)
         return self.between
 
+    @property
+    def leads(self) -> bool:
+        """Whether a fit may be led from the data sheet: a free run, of a plant whose runs are cheap."""
+        return not self.rig.window and self.rig.plant.outside is None
+
     def lost(self, fit: Fit) -> bool:
         """Whether a free run does not follow the recording: a channel errs by three tenths of what it moves."""
         return not self.rig.window and not np.all(_astray(fit) <= LOST)
@@ -523,15 +532,25 @@ class Search:
         """
         if self.budget.over or not self.lost(fit):
             return fit
-        return min(fit, self.leading_to(fit, **how), key=lambda f: float(np.sum(_astray(f))))
+        return min(fit, self._led(fit, {}, LED, ROUGHLY, **how), key=lambda f: float(np.sum(_astray(f))))
 
-    def leading_to(self, fit: Fit, **how) -> Fit:
-        """The fit of the same that is led from the data sheet, and from the recording's beginning to its end."""
-        likelihood, unknowns, values = fit.likelihood, fit.unknowns, dict(fit.fixed)
+    def from_the_sheet(self, fit: Fit, hypothesis: Hypothesis) -> Fit:
+        """The better of two that are led from the data sheet: where an effect does nothing, and where it is guessed."""
+        free = [f for key in hypothesis.effects for f in self.effects[key].free]
+        guessed = {f.symbol: f.guess[0] if f.guess else f.typical for f in free}
+        found = [self._led(fit, {}, EARLIER), self._led(fit, guessed, CLOSER)]
+        return min(found, key=lambda f: f.cost)
+
+    def _led(self, fit: Fit, start: Mapping[str, float], shares: Sequence[float], way: Mapping = ALL, **how) -> Fit:
+        """A fit of the same from the data sheet, and from the recording's beginning to its end.
+
+        start: values that are not the data sheet's. way, how: options of the fits on the way, and of the last.
+        """
+        likelihood, unknowns, values = fit.likelihood, fit.unknowns, {**fit.fixed, **start}
         pieces = likelihood.model.pieces
-        for share in LED:
+        for share in shares:
             later = np.concatenate([np.arange(p.stop - p.start) >= share * (p.stop - p.start) for p in pieces])
-            values = likelihood.without(later).fit(unknowns, values, **ROUGHLY).values
+            values = likelihood.without(later).fit(unknowns, values, **way).values
         return likelihood.fit(unknowns, values, **how)
 
     def fit(

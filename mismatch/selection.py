@@ -217,7 +217,7 @@ class Selection:
 
         What was calibrated without it makes up for it, and what sticks has a valley for each place where it may.
         """
-        if best.size != 1 or not best.effects or complete(fit) or self.search.rig.window:
+        if best.size != 1 or not best.effects or complete(fit) or not self.search.leads:
             return best, fit
         for other in [best, *(form for form, _ in forms(self.search, best, fit.values))]:
             if self.search.skips(other) or complete(fit):
@@ -228,7 +228,7 @@ class Selection:
                 if other == best
                 else self.fits.get(other) or self.search.fit(self.likelihood, other, {}, iterations=0)
             )
-            again = self.search.leading_to(begun)
+            again = self.search.from_the_sheet(begun, other)
             if not possible(self.search, other, again):
                 continue
             self.add(other, again)

@@ -51,6 +51,7 @@ def test_an_effect_is_taken_for_its_evidence_and_for_blocks_it_did_not_learn_fro
     chosen, monkeypatch, cost, held, taken
 ):
     monkeypatch.setattr(chosen, "_added", lambda best, *_: [] if best.size else [(DRIFT, fit(cost, held))])
+    monkeypatch.setattr(chosen, "from_the_sheet", lambda *found: found)
     best, _ = chosen.forward(NOTHING, chosen.plain, chosen.plain)
     assert best == (DRIFT if taken else NOTHING)
 
