@@ -268,7 +268,7 @@ class ColouredSelection(Selection):
     def _led(self, hypothesis: Hypothesis, order: int) -> Fit:
         """The fit that is led from the data sheet, and from the recording's beginning to its end."""
         begun = self.search.fit(_white(self.plain), hypothesis, {}, iterations=0)
-        run = self.search.from_the_sheet(begun, hypothesis)
+        run = self.search.from_the_sheet(begun)
         if not np.isfinite(run.cost):
             return run
         likelihood = coloured_likelihood(run).learnt(run.likelihood.residual(run.values), order)

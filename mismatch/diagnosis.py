@@ -102,7 +102,7 @@ class Diagnosis:
                 "remaining": self._remaining(),
                 **({"recordings": own} if (own := self._recordings()) else {}),
                 **({"begins": begun} if (begun := self._begins()) else {}),
-                **({"simulation": own} if (own := self._own_values()) else {}),
+                **({"simulation": left} if (left := self._own_values()) else {}),
                 **({"explained": round(self.explained, DIGITS)} if self.verdict == Verdict.PARTLY_EXPLAINED else {}),
                 **({"refused": self.refused} if self.refused else {}),
                 **({"not_tried": [*self.search.untried]} if self.search.untried else {}),

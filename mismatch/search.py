@@ -43,7 +43,6 @@ TIMELESS = "dead_zone", "skew", "saturation", "quantum"  # filters without memor
 LOST = 0.3  # of a channel's spread, above which its error says that the run is elsewhere
 LED = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording: to so much a lost run is fitted first
 EARLIER = (1 / 64, 1 / 32, *LED)  # what sticks sees few places in so little
-CLOSER = tuple(1.5**n / 16 for n in range(7))
 ALL: Mapping = MappingProxyType({})  # options of a fit: to the end
 LONG = 1.5  # of the travel: the longest period of a wave
 WAVES = 2.0  # periods of a scan for each cycle over the travel: neighbours differ by half a cycle
@@ -532,21 +531,18 @@ class Search:
         """
         if self.budget.over or not self.lost(fit):
             return fit
-        return min(fit, self._led(fit, {}, LED, ROUGHLY, **how), key=lambda f: float(np.sum(_astray(f))))
+        return min(fit, self._led(fit, LED, ROUGHLY, **how), key=lambda f: float(np.sum(_astray(f))))
 
-    def from_the_sheet(self, fit: Fit, hypothesis: Hypothesis) -> Fit:
-        """The better of two that are led from the data sheet: where an effect does nothing, and where it is guessed."""
-        free = [f for key in hypothesis.effects for f in self.effects[key].free]
-        guessed = {f.symbol: f.guess[0] if f.guess else f.typical for f in free}
-        found = [self._led(fit, {}, EARLIER), self._led(fit, guessed, CLOSER)]
-        return min(found, key=lambda f: f.cost)
+    def from_the_sheet(self, fit: Fit) -> Fit:
+        """A fit of the same that is led from the data sheet, where an effect does nothing."""
+        return self._led(fit, EARLIER)
 
-    def _led(self, fit: Fit, start: Mapping[str, float], shares: Sequence[float], way: Mapping = ALL, **how) -> Fit:
+    def _led(self, fit: Fit, shares: Sequence[float], way: Mapping = ALL, **how) -> Fit:
         """A fit of the same from the data sheet, and from the recording's beginning to its end.
 
-        start: values that are not the data sheet's. way, how: options of the fits on the way, and of the last.
+        way, how: options of the fits on the way, and of the last.
         """
-        likelihood, unknowns, values = fit.likelihood, fit.unknowns, {**fit.fixed, **start}
+        likelihood, unknowns, values = fit.likelihood, fit.unknowns, dict(fit.fixed)
         pieces = likelihood.model.pieces
         for share in shares:
             later = np.concatenate([np.arange(p.stop - p.start) >= share * (p.stop - p.start) for p in pieces])

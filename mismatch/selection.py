@@ -228,7 +228,7 @@ class Selection:
                 if other == best
                 else self.fits.get(other) or self.search.fit(self.likelihood, other, {}, iterations=0)
             )
-            again = self.search.from_the_sheet(begun, other)
+            again = self.search.from_the_sheet(begun)
             if not possible(self.search, other, again):
                 continue
             self.add(other, again)
