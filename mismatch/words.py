@@ -194,7 +194,7 @@ def _as_well(others: Sequence[str]) -> str:
 def parameter(result: Diagnosis, name: str, found: Mapping, rig: Rig | None = None) -> str:
     """A fitted parameter beside the value of its data sheet. rig: as it is in one recording."""
     known = (rig or result.rig).plant.parameters[name]
-    low, high = found["ci95"]
+    low, high = (end if end is not None else math.nan for end in found["ci95"])
     far = low > known.value + known.reach or high < known.value - known.reach
     off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else " beyond its tolerance" if far else ""
     sheet = given(known, found["value"])

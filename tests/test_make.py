@@ -158,23 +158,24 @@ def test_the_corrected_plant_is_controlled_within_what_is_on_record(world, copy,
         done = copied(tables[0]) if tables else controlled.table(machine, Method.PI, Place.FLOAT, progress)
         tables.append(copied(done))
         done.found["rows"] |= {"predictive": done.found["rows"]["PI"], make.HARDWARE: done.found["rows"]["PI"]}
-        done.found["network"] = {"apart": {}, "matches": True, "neurons": 10, "said": "so", "differing_bits": bits}
+        done.found["network"] = {"apart": {}, "matches": matches, "neurons": 10, "said": "so", "differing_bits": bits}
         return done
 
     monkeypatch.setattr(make, "table", only_pi)
     words = arguments(world, copy, "--control", str(reference), "--rate", "u=50", "--json")
-    for bits, code in ((0, 0), (3, 1)):
+    for bits, matches, code in ((0, True, 0), (3, True, 1), (0, False, 1)):
         got, printed, error = greygate(*words)
         assert (got, again(printed)) == (code, NAMES), error
         told = json.loads(printed)["steps"][-1]
-        assert (told["step"], told["yes"]) == ("control", not bits)
-        assert f"under PI; {bits} bits differ" in told["figure"]
-        if bits == 0:
+        assert (told["step"], told["yes"]) == ("control", code == 0)
+        assert f"under PI; {'' if matches else 'so; '}{bits} bits differ" in told["figure"]
+        assert ("--limits u=-90:90 is in V; on record u goes from -" in error) is not matches
+        if code == 0:
             assert again(greygate(*words)[1]) == [*NAMES, "control"]
-            words += ["--limits", "u=-0.9:0.9"]
+        words += ["--limits", "u=-0.9:0.9" if code == 0 else "u=-90:90"]
     Recording(0.1, {"y": 0.1 * np.sin(0.2 * np.arange(60))}, {"y": "V"}).write_csv(reference)
     assert again(greygate(*words)[1]) == NAMES
-    (machine, method, place), (other, *_), _ = seen
+    (machine, method, place), (other, *_), *_ = seen
     first = make.read(world / "lag.toml", {"first": str(world / "first.csv")})[1]["first"]["u"]
     assert (machine.limits.low, machine.limits.high) == (first.min(), first.max())
     assert (other.limits.low, other.limits.high, other.limits.rate) == (-0.9, 0.9, 5.0)

@@ -6,17 +6,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greygate.mismatch import coloured_selection
+from greygate import diagnose
+from greygate.mismatch import coloured_selection, words
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.coloured import Coloured, resized
 from greygate.mismatch.coloured_selection import ALIKE, SURE, ColouredSelection, _foretells, quicker, selected
+from greygate.mismatch.diagnosis import SCHEMA
 from greygate.mismatch.effects import known
 from greygate.mismatch.entries import Effect, Free
 from greygate.mismatch.fit import Likelihood, Unknown
 from greygate.mismatch.model import Model
 from greygate.mismatch.search import Hypothesis, Score, Search
+from greygate.mismatch.simulation import simulate as replayed
 from greygate.plants.expressions import summands
-from greygate.plants.plant import Plant
+from greygate.plants.plant import Parameter, Plant
 from greygate.plants.simulator import Restarted, simulate
 
 PLANT = """step = 1e-3
@@ -278,3 +281,36 @@ def test_a_first_effect_is_fitted_from_the_data_sheet_on_where_something_is_left
     assert kept[1].cost < stuck.cost - SURE
     search.budget.stop()
     assert selection._anew(best, stuck) is stuck
+
+
+def test_when_inputs_act_is_kept_for_a_simulation(tmp_path):
+    """In windows a fit leaves open when inputs act; without it no simulation repeats the figures of a diagnosis."""
+    recorded(tmp_path)
+    text = (tmp_path / "rig.toml").read_text().replace("predict =", "window_s = 0.6\npredict =")
+    (tmp_path / "rig.toml").write_text(text)
+    rig = rigs.load(tmp_path)
+    recording = rig.recording(tmp_path / "identify.csv")
+    said = {"schema": SCHEMA, "plant": "slide", "effects": [], "parameters": {}}
+    plain, late = (replayed(rig, recording, said | {"simulation": own})["x"] for own in ({}, {"input_timing": 5e-3}))
+    assert np.abs(plain - late).max() > 1e-4
+    np.testing.assert_array_equal(replayed(rig, recording, said)["x"], plain)
+    found = diagnose(rig).as_dict()
+    assert list(found["simulation"]) == ["input_timing", "input_early"]
+    errors = replayed(rig, recording, found)["x"] - recording["x"]
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(found["fit"]["identify"]["x"]["corrected"], rel=1e-6)
+
+
+def test_noise_that_nobody_told_is_not_held_against_rig_toml():
+    of = {"found": 2e-4, "unit": "rad", "memory": 0, "as_told": False}
+    assert words.noises({"noise": {"q": {**of, "told": None}}}) == []
+    assert words.noises({"noise": {"q": {**of, "told": 1e-4}}}) == ["q: 0.0002 rad, 2 times what rig.toml tells"]
+
+
+@pytest.mark.parametrize(
+    ("interval", "marked"), [([1.4, 1.6], True), ([1.4, 1.9], False), ([2.3, 2.5], True), ([None, None], False)]
+)
+def test_a_parameter_whose_interval_leaves_its_tolerance_is_marked(interval, marked):
+    plant = SimpleNamespace(parameters={"m": Parameter(2.0, "kg", 0.1)})
+    found = {"value": 1.5, "ci95": interval, "unit": "kg"}
+    said = words.parameter(SimpleNamespace(rig=SimpleNamespace(plant=plant)), "m", found)
+    assert said.endswith("± 10 %) beyond its tolerance") is marked
