@@ -508,6 +508,32 @@ def test_a_simplification_that_moves_an_output_by_a_millionth_stops_the_compiler
         compile_network(network, {"run": Record({"u": u}, network.run({"u": u}))}, Formats(12))
 
 
+@pytest.mark.parametrize(("by", "stops"), [(2.0**-52, False), (1e-6, True)])
+def test_a_simplification_may_round_a_network_whose_runs_part(monkeypatch, by, stops):
+    """What parts by a factor of two in a step makes a trillion of a rounding in forty."""
+
+    def nearly(network: Network) -> Network:
+        (name,) = (n for n in network.parameters() if n.endswith(".u"))
+        return network.with_parameters({name: network.parameters()[name] * (1 + by)})
+
+    network = Network("parting", [Port("u")], [Port("y")])
+    network.add("bend", Layer({"x": [[4.0]]}, [0.0], "tansig"))
+    network.add("x", Layer({"u": [[0.1]], "bend": [[2.0]], "own": [[-1.8]]}, [0.0]))
+    for source, target, delay in (("x", "bend.x", 1), ("u", "x.u", 0), ("bend", "x.bend", 0), ("x", "x.own", 1)):
+        network.connect(source, target, delay=delay)
+    network.connect("x", "y")
+    u = np.random.default_rng(1).uniform(-1.0, 1.0, 45)[:, None]
+    record = Record({"u": u}, network.run({"u": u}))
+    monkeypatch.setattr(pipeline, "SIMPLIFICATIONS", (nearly,))
+    passes = pipeline._Passes(network, {"run": record})
+    if stops:
+        with pytest.raises(AssertionError, match="nearly changed the outputs of parting"):
+            passes.simplified(network, False)
+        return
+    passes.simplified(network, False)
+    assert passes.done[-1].change > pipeline.SAME
+
+
 def test_an_output_that_is_always_the_same_number_keeps_the_width():
     network = Network("still", [Port("u")], [Port("y")], {"none": Layer({"u": [[0.0]]}, [-0.0666759])})
     network.connect("u", "none.u")
