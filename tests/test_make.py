@@ -16,6 +16,7 @@ from greygate import make, steps
 from greygate.control.choices import Method, Place
 from greygate.errors import InputError
 from greygate.hardware import controlled
+from greygate.identify.expert.building import Unfollowed
 from greygate.identify.expert.diagnosed import Corrected
 from greygate.mismatch.joining import acting
 from greygate.mismatch.model import FILTERS, Model
@@ -290,6 +291,20 @@ def test_where_no_design_will_do_the_answer_is_no_and_the_page_tells_of_the_rest
     assert (code, again(printed), told["passed"]) == (1, NAMES[:5], False)
     assert told["unmet"].startswith("compile: ")
     assert '<h2 id="compile">' not in (copy / "index.html").read_text()
+
+
+def test_where_no_network_follows_the_plant_the_answer_is_no(world, copy, greygate, monkeypatch):
+    def steep(*given):
+        raise Unfollowed("lag", "its term turns too fast")
+
+    monkeypatch.setitem(make.STEPS, "build-snn", (make.STEPS["build-snn"][0], steep))
+    (copy / "build-snn" / "lag.json").unlink()
+    code, printed, _ = greygate(*arguments(world, copy), "--json")
+    told = json.loads(printed)
+    assert (code, again(printed)) == (1, NAMES[:3])
+    assert told["unmet"] == (
+        "build-snn: plant lag: no network of it: its term turns too fast; record faster, or soften what is steep"
+    )
 
 
 def test_a_file_that_somebody_changed_is_not_overwritten(world, copy, greygate):

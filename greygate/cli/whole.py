@@ -44,6 +44,7 @@ def make(
     """
     from greygate.cli.controlling import numbers, ranges
     from greygate.compiler.explore import Unmet
+    from greygate.identify.expert.building import Unfollowed
     from greygate.make import PAGE, Asked, Tracking
     from greygate.make import make as run
     from greygate.pages.summary import aligned
@@ -65,6 +66,8 @@ def make(
             run(asked, out, progress, finished)
         except Unmet as problem:
             unmet = f"compile: {problem}"
+        except Unfollowed as problem:
+            unmet = f"build-snn: {problem}"
     rows = [
         {"step": d.name, "figure": d.figure, "file": str(d.folder / d.file),
          "seconds": "as it was" if d.again else f"{d.seconds:.1f}"}

@@ -175,7 +175,7 @@ class Unfollowed(InputError):
     """No integration follows the plant. why: which term turns too fast, and by how much it is missed."""
 
     def __init__(self, plant: str, why: str):
-        super().__init__(f"plant {plant}: no network of it: {why}; record faster, or soften the term")
+        super().__init__(f"plant {plant}: no network of it: {why}; record faster, or soften what is steep")
         self.why = why
 
 
