@@ -167,7 +167,7 @@ class _Passes:
 
     @cached_property
     def _of_rounding(self) -> float:
-        """What rounding alone changes: far more than itself where two runs of a network part, as a pendulum's do."""
+        """What rounding alone changes: far more than itself where two runs of a network part."""
         flat = self.network.flatten()
         rounded = flat.with_parameters({name: value * (1.0 + ROUNDING) for name, value in flat.parameters().items()})
         return self._change(_outputs(rounded, self.records), _outputs(flat, self.records))

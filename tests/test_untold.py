@@ -295,7 +295,7 @@ def test_when_inputs_act_is_kept_for_a_simulation(tmp_path):
     assert np.abs(plain - late).max() > 1e-4
     np.testing.assert_array_equal(replayed(rig, recording, said)["x"], plain)
     found = diagnose(rig).as_dict()
-    assert list(found["simulation"]) == ["input_timing", "input_early"]
+    assert "input_timing" in found["simulation"]
     errors = replayed(rig, recording, found)["x"] - recording["x"]
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(found["fit"]["identify"]["x"]["corrected"], rel=1e-6)
 
