@@ -79,9 +79,7 @@ class Project:
         if other := [*changed(folder, data), *linked(folder)]:
             raise InputError(f"{folder / other[0]}: not as greygate compile wrote it; run greygate compile again")
         files = facts["recordings"]
-        source = Source(
-            facts["source"], files, learnt=facts.get("learnt", 1) if files else None
-        )  # one, before it stood
+        source = Source(facts["source"], files, learnt=facts.get("learnt", 1) if files else None)
         program = Program.load(folder / "program.json")
         network = replace(Network.load(folder / "network"), dt=program.period)
         return Project(folder, source, program, network, facts)

@@ -508,7 +508,7 @@ def test_a_simplification_that_moves_an_output_by_a_millionth_stops_the_compiler
         compile_network(network, {"run": Record({"u": u}, network.run({"u": u}))}, Formats(12))
 
 
-@pytest.mark.parametrize(("by", "stops"), [(2.0**-52, False), (1e-6, True)])
+@pytest.mark.parametrize(("by", "stops"), [(2.0**-52, False), (1e-6, True), (1e-11, True)])
 def test_a_simplification_may_round_a_network_whose_runs_part(monkeypatch, by, stops):
     """What parts by a factor of two in a step makes a trillion of a rounding in forty."""
 
@@ -522,7 +522,7 @@ def test_a_simplification_may_round_a_network_whose_runs_part(monkeypatch, by, s
     for source, target, delay in (("x", "bend.x", 1), ("u", "x.u", 0), ("bend", "x.bend", 0), ("x", "x.own", 1)):
         network.connect(source, target, delay=delay)
     network.connect("x", "y")
-    u = np.random.default_rng(1).uniform(-1.0, 1.0, 45)[:, None]
+    u = np.random.default_rng(1).uniform(-1.0, 1.0, 90)[:, None]
     record = Record({"u": u}, network.run({"u": u}))
     monkeypatch.setattr(pipeline, "SIMPLIFICATIONS", (nearly,))
     passes = pipeline._Passes(network, {"run": record})

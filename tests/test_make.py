@@ -226,7 +226,7 @@ def test_control_without_its_solver_is_refused_at_once(world, tmp_path, greygate
 
 def test_laws_of_inputs_stand_in_the_corrected_plant_and_what_does_not_is_said(world):
     plant = Plant.read(world / "lag.toml")
-    laws = {"u": [("offset", (0.1,)), ("skew", (0.2,)), ("dead_zone", (0.3,)), ("saturation", (0.5, 0.8))]}
+    laws = {"u": [("offset", (-0.1,)), ("skew", (-2e-05,)), ("dead_zone", (0.3,)), ("saturation", (0.5, 0.8))]}
     whole, absent = make._whole(Corrected(plant, laws, {"y": {}}, (), ["drift"]))
     assert absent == "y, drift"
     u = np.linspace(-2.0, 2.0, 400)

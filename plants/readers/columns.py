@@ -171,7 +171,7 @@ def _since(values: np.ndarray) -> np.ndarray:
 
 
 def _counts_days(values: np.ndarray) -> bool:
-    return len(values) > 1 and DAYS[0] < values[0] < DAYS[1] and float(np.median(np.diff(values))) < SOONEST
+    return len(values) > 1 and DAYS[0] < values[0] < DAYS[1] and 0.0 < float(np.median(np.diff(values))) < SOONEST
 
 
 def _listed(names: Sequence[str]) -> str:
