@@ -15,6 +15,7 @@ from greygate.mismatch.search import Search
 from greygate.mismatch.several import by_rule, modelled
 
 WHERE = "in the held-out recording"
+MANY = 5  # windows of a recording, of which one may be left out
 
 
 def no_better(search: Search, plain: Fit, fit: Fit, values: Mapping[str, float]) -> str:
@@ -37,6 +38,13 @@ def no_better(search: Search, plain: Fit, fit: Fit, values: Mapping[str, float])
 
 @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
 def _errors(model: Model, values: Mapping[str, float]) -> np.ndarray:
-    """Recorded less simulated by the rule of the rig, where it counts (samples, channels), in the channels' units."""
+    """Recorded less simulated by the rule of the rig, where it counts (samples, channels), in the channels' units.
+
+    Of many windows the first of a recording does not count: what acted before it is not recorded, and what remembers
+    that, as a lag does, begins wrongly. Even the true model errs there.
+    """
     predicted, counts = by_rule(model, values, model.rig.settle)
+    for each, piece in zip(model.each, model.pieces, strict=True):
+        if len(each.restarts) >= MANY:
+            counts[piece.start : piece.start + each.restarts[1]] = False
     return (model.target - predicted)[counts]
