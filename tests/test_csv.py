@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import re
 from itertools import product
 
 import numpy as np
@@ -10,6 +11,7 @@ from sweeping import every
 
 from greygate.errors import InputError
 from greygate.mismatch.rig import Channel, Rig
+from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import read_csv
 from greygate.plants.table import LARGEST
 
@@ -81,6 +83,9 @@ WRAPPINGS = {
     "BOM": lambda t: t.encode("utf-8-sig"),
     "gzip": lambda t: gzip.compress(t.encode()),
     "gzip of BOM": lambda t: gzip.compress(t.encode("utf-8-sig")),
+    "UTF-16": lambda t: t.encode("utf-16"),
+    "UTF-16, high byte first": lambda t: b"\xfe\xff" + t.encode("utf-16-be"),
+    "gzip of UTF-16": lambda t: gzip.compress(t.encode("utf-16")),
 }
 
 
@@ -95,6 +100,96 @@ def test_every_dialect_gives_the_same_recording(entrance, dialect):
         np.testing.assert_array_equal(recording.time, TIME)
 
     every(product(LINES, WRAPPINGS), check)
+
+
+ABOVE = {  # what programs write above and behind a table
+    "sep line of Excel": lambda t: "sep=;\n" + t.replace(",", ";"),
+    "sep line in quotes": lambda t: '"sep=,"\n' + t,
+    "a comment": lambda t: "# a rig\n" + t,
+    "a comment with commas": lambda t: "# a rig, measured\n" + t,
+    "names in a comment": lambda t: "# " + t,
+    "names in the last of some comments": lambda t: "% a rig\n%\n%" + t,
+    "pairs": lambda t: "Model,TDS2024\nSerial,12345\nDate,2026-11-30 10:00\n\n" + t,
+    "a title of words": lambda t: "Measured on the rig in the cellar\n\n" + t,
+    "rows of another count of numbers": lambda t: "Segments,1,Size,200\n#1,30-Nov-2026,0,0\n" + t,
+    "pairs above semicolons": lambda t: "Rig;7\n" + t.replace(",", ";"),
+    "many lines": lambda t: "note\n" * 150 + t,
+    "separators at the end": lambda t: t.replace("\n", ",\n"),
+    "separators at the end of rows": lambda t: t.replace("\n", ",\n").replace(",\n", "\n", 1),
+    "blanks": lambda t: t.replace(",", " "),
+    "columns in line by blanks": lambda t: t.replace(",", "   ").replace("\n", "\n  "),
+}
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_what_stands_above_a_table_is_left_out(entrance, newline):
+    header, read = entrance
+
+    def check(above):
+        recording = read(ABOVE[above](text(header, ROWS)).replace("\n", newline).encode())
+        np.testing.assert_array_equal(recording["u"], U)
+        np.testing.assert_array_equal(recording["x"], X)
+        np.testing.assert_array_equal(recording.time, TIME)
+
+    every(ABOVE, check)
+
+
+NO_NAMES = {  # what does not tell where the names are, or would lose a sample
+    "a first sample of nan": ("t,u [V]\nnan,nan\n1,2\n2,3\n", "row 2, column t: 'nan'"),
+    "a first sample with a word": ("t,u [V]\n0,lost\n1,2\n2,3\n", "row 2, column u [V]: 'lost'"),
+    "words between names and numbers": (
+        "t,u [V]\nthe recorder starts,not yet armed here\n1,2\n2,3\n",
+        "column 'u [V]' names two units, V and 'not yet armed here'",
+    ),
+    "no names at all": ("# by a logger\n0,1\n1,2\n2,3\n", "column"),
+    "numbers in the first row": ("0,1\n1,2\n2,3\n", "the first row has numbers; write the names above"),
+    "a short row": ("# by a logger\nt,u [V]\n0,1\n1\n2,3\n", "row 4 has 1 cells, the header 2"),
+    "a word further down": ("# by a logger\nt,u [V]\n0,1\n1,lost\n2,3\n", "row 4, column u [V]: 'lost'"),
+}
+
+
+@pytest.mark.parametrize("name", NO_NAMES)
+def test_where_the_names_are_not_plain_a_file_is_refused_by_its_own_rows(name, tmp_path):
+    content, phrase = NO_NAMES[name]
+    (tmp_path / "run.csv").write_text(content)
+    with pytest.raises(InputError, match=re.escape(phrase)):
+        read_recording(tmp_path / "run.csv")
+
+
+def test_what_is_left_out_and_when_a_recording_began_is_said(tmp_path, greygate):
+    (tmp_path / "a.csv").write_text(
+        "Rig,7\ntime,u [V]\n2026-10-25T23:59:59.5Z,1\n2026-10-26T00:00:00Z,2\n2026-10-26T00:00:00.5Z,3\n"
+    )
+    code, out, error = greygate("look", tmp_path / "a.csv", "--json")
+    assert code == 0
+    assert json.loads(out)["channels"][0]["step_s"] == 0.5
+    assert "the lines above line 2" in error
+    assert "time counts seconds from 2026-10-25T23:59:59.5Z" in error
+
+
+TIMES = {
+    "2026-11-30 08:15:00.250,2026-11-30 08:15:00.500,2026-11-30 08:15:00.750": 0.25,
+    "2026-11-30T08:15,2026-11-30T08:16,2026-11-30T08:17": 60.0,
+    "8:59:59.9,9:00:00.0,9:00:00.1": 0.1,
+    "2026-11-30T08:15:00+01:00,2026-11-30T08:15:01+01:00,2026-11-30T08:15:02+01:00": 1.0,
+    "23:59:59,00:00:00,00:00:01": "does not increase",
+    "2026-11-30T08:15:00Z,2026-11-30T08:15:01+01:00,2026-11-30T08:15:02Z": "times of the zones",
+    "2026-13-30T08:15:00,2026-13-30T08:15:01,2026-13-30T08:15:02": "is no time",
+    "2026-11-30T08:15:00,12,2026-11-30T08:15:02": "'12' is no time as '2026-11-30T08:15:00' is",
+    "30.11.2026 08:15:00,30.11.2026 08:15:01,30.11.2026 08:15:02": "is not a finite number",
+}
+
+
+@pytest.mark.parametrize("times", TIMES)
+def test_dates_and_times_of_day_count_seconds(times, tmp_path):
+    rows = "".join(f"{t},{k}\n" for k, t in enumerate(times.split(",")))
+    (tmp_path / "run.csv").write_text("time,u [V]\n" + rows)
+    if isinstance(step := TIMES[times], float):
+        assert read_recording(tmp_path / "run.csv").dt == step
+        (tmp_path / "run.csv").write_text("time [ms],u [V]\n" + rows)
+        step = "column time [ms]"
+    with pytest.raises(InputError, match=re.escape(step)):
+        read_recording(tmp_path / "run.csv")
 
 
 # ---- cells
@@ -177,11 +272,7 @@ FILES = {
     "header alone": (H, "holds 0 samples", "0 samples, 0 s; record at least"),
     "one sample": (H + "0,1,2\n", "holds 1 samples; give at least 2", "1 samples, 1 s; record at least"),
     "one column": ("TIME\n0\n1\n2\n", "the header has one column"),
-    "separated by blanks": ("TIME COLU COLX\n" + BODY.replace(",", " "), "the header has one column"),
     "separated by bars": ("TIME|COLU|COLX\n" + BODY.replace(",", "|"), "the header has one column"),
-    "comment before the header": ("# a rig\n" + H + BODY, "the header has one column; begin with a row of names"),
-    "comment with a comma": ("# a rig, measured\n" + H + BODY, "column"),
-    "sep line of Excel": ("sep=;\nTIME;COLU;COLX\n" + BODY.replace(",", ";"), "column 2 has no name"),
     "no header": (BODY, "column"),
     "units below the header": (H + "s,V,m\n" + BODY, "keep one header with the units in its names, and delete this"),
     "a second header": (H + BODY + H, "keep one header"),
@@ -195,8 +286,6 @@ FILES = {
     "row too long": (H + BODY + "4,1,2,3\n", "row 6 has 4 cells, the header 3"),
     "row too short after blank lines": (H + "\n\n" + BODY + "4,1\n", "row 8 has 2 cells"),
     "row cut short": (H + BODY + "4", "row 6 has 1 cells"),
-    "trailing separators": ((H + BODY).replace("\n", ",\n"), "column 4 has no name"),
-    "trailing separators in rows": (H + BODY.replace("\n", ",\n"), "row 2 has 4 cells"),
     "nameless column": ("TIME,,COLX\n" + BODY, "column 2 has no name; name it"),
     "nameless first column": (",COLU,COLX\n" + BODY, "column 1 has no name"),
     "column twice": ("TIME,COLU,COLU\n" + BODY, "appears twice; rename or delete one"),
@@ -253,8 +342,6 @@ def test_a_file_that_cannot_serve_is_refused_with_what_to_do(entrance, newline):
 
 WHOLE = "HEADER\n" + BODY
 BYTES = {
-    "UTF-16": (lambda t: t.encode("utf-16"), "is not a CSV text file in UTF-8 but in UTF-16; save it as UTF-8 CSV"),
-    "UTF-16, high byte first": (lambda t: b"\xfe\xff" + t.encode("utf-16-be"), "in UTF-16; save it as UTF-8"),
     "UTF-16 without a mark": (lambda t: t.encode("utf-16-le"), "(byte 1 is 0); save it as UTF-8"),
     "UTF-32": (lambda t: t.encode("utf-32"), "save it as UTF-8 CSV"),
     "Mac Roman": (lambda t: (t + "4,1,\u00b0\n").encode("mac-roman"), "is not a CSV text file in UTF-8 (row 6); save"),
@@ -262,14 +349,16 @@ BYTES = {
     "bytes of nothing": (lambda t: bytes(range(128, 256)), "is not a CSV text file"),
     "a byte 0 at the end": (lambda t: t.encode() + b"\0", "is not a CSV text file (byte"),
     "a PNG": (lambda t: b"\x89PNG\r\n\x1a\n" + t.encode(), "is not a CSV text file"),
-    "a zip archive": (lambda t: b"PK\x03\x04\x14\x00" + t.encode(), "is not a CSV text file (byte 5 is 0)"),
+    "a zip archive": (
+        lambda t: b"PK\x03\x04\x14\x00" + t.encode(),
+        "is a zip archive, as a spreadsheet of Excel is; save",
+    ),
     "end of file of DOS": (lambda t: t.encode() + b"\x1a", "row 6 has 1 cells"),
     "gzip cut short": (lambda t: gzip.compress(t.encode())[:-12], "is not a complete gzip file"),
     "gzip with a wrong sum": (lambda t: gzip.compress(t.encode())[:-8] + b"\0" * 8, "is not a complete gzip file"),
     "gzip with a wrong body": (lambda t: gzip.compress(t.encode())[:10] + b"\xff" * 30, "is not a complete gzip file"),
     "gzip of nothing": (lambda t: gzip.compress(b""), "the file is empty"),
     "gzip of gzip": (lambda t: gzip.compress(gzip.compress(t.encode())), "is not a CSV text file"),
-    "gzip of UTF-16": (lambda t: gzip.compress(t.encode("utf-16")), "in UTF-16; save it as UTF-8 CSV"),
 }
 
 

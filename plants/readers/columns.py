@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.errors import InputError, shown
+from greygate.plants.layout import CLOCKS
 from greygate.plants.recording import EPOCH, FEWEST, Recording, check_sizes, twice
 from greygate.plants.units.reading import converted, same, split, suffixed
 
 Told = Callable[[str], None]
-CLOCKS = ("time", "times", "timestamp", "timestamps", "zeit", "elapsed", "seconds", "time_s", "x_value")
 WHOLE = 1 << 53  # beyond it a float does not tell one integer from the next
 DAYS = (2e4, 8e4)  # of a spreadsheet, which counts them from 1900: from 1954 to 2119
 SOONEST = 1.2e-5  # of them, a second: as seconds it would be the 80 kHz of a clock that runs for hours

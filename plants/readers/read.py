@@ -18,6 +18,7 @@ from greygate.reading import line, named, read_toml, table
 
 FORMATS = {
     ".mat": "mat",
+    ".npz": "npz",
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), "hdf5"),
     ".parquet": "parquet",
     **dict.fromkeys((".mf4", ".mdf", ".dat"), "mdf"),
@@ -162,7 +163,7 @@ def _of_python(source: Any) -> list[Column]:
 
 
 def _vectors(path: Path, kind: str) -> list[Column]:
-    """Vectors of MATLAB or HDF5, in groups or structs too; one struct alone stands for its fields.
+    """Vectors of MATLAB, numpy or HDF5, in groups or structs too; one struct alone stands for its fields.
 
     `units` may be a struct: name -> unit; of HDF5 the attribute `unit` or `units` counts.
     """
@@ -226,7 +227,7 @@ def _rises(values: np.ndarray) -> bool:
 def _of_format(path: Path) -> list[Column]:
     """The columns of a file. Raises InputError for a file that is none of its format."""
     kind = FORMATS[path.suffix.lower()]
-    found = (_vectors if kind in ("mat", "hdf5") else _columns)(path, kind)
+    found = (_vectors if kind in ("mat", "npz", "hdf5") else _columns)(path, kind)
     if not found:
         raise InputError(f"{path}: holds no channel of numbers with two samples or more")
     return found
