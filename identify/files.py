@@ -13,12 +13,26 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing, replacing_folder
-from greygate.identify.halving import WORSE, Halving, Tried, interval, reach, segments, sure_of, warm
-from greygate.identify.looking import Seen, look
-from greygate.identify.task import Task, task
+from greygate.identify.halving import (
+    SURE,
+    WORSE,
+    Halving,
+    Tried,
+    draws,
+    interval,
+    reach,
+    segmented,
+    segments,
+    sure_of,
+    warm,
+)
+from greygate.identify.looking import UNSEEN, Seen, look
+from greygate.identify.task import SHORTEST, Task, task
 from greygate.models.accuracy import rms
 from greygate.models.network import Network
 from greygate.models.sampling import same
+from greygate.models.training.record import Record
+from greygate.models.validation import coverage
 from greygate.plain import Count, Figure, json_text, plain
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording
@@ -26,6 +40,9 @@ from greygate.progress import Progress, once, silent
 
 KIND = "identify"  # of the folder's manifest
 UNLIKE = 5.0  # times the median part's error, from which a part is taken to hold what no other does
+EXPLAINED = 50.0  # per cent of fit, from which inputs are known to act
+FEW = 0.05  # of a channel's samples on a test, beyond what was recorded
+TINY = 1e-300
 SHOWN = 12  # models in the table of a terminal
 
 
@@ -41,6 +58,7 @@ class Confidence(TypedDict):
     better_than_linear: float | None
     better_than_next: float | None
     next: str | None
+    next_is: Annotated[str | None, "Why the next was not chosen, where it is likelier to be the better one."]
 
 
 class IdentifiedFacts(TypedDict):
@@ -53,6 +71,9 @@ class IdentifiedFacts(TypedDict):
     parts: Annotated[dict[int, Figure], "Part that was held out -> error over it."]
     held_out_interval: tuple[Figure, Figure]
     test: dict[str, float | None]
+    test_linear: Annotated[dict[str, float | None], "The best linear model's errors, where a network was chosen."]
+    test_beyond: Annotated[dict[str, dict[str, float]], "Channel -> share beyond what was recorded to learn from."]
+    test_fit: Annotated[dict[str, Figure], "Per cent; 0 is no better than the mean."]
     unit: str
     confidence: Confidence
     models: list[Row]
@@ -67,7 +88,10 @@ class IdentifiedFacts(TypedDict):
 
 @dataclass(frozen=True)
 class Identified:
-    """The chosen model, fitted to everything, and every model that was tried. seen: of each recording, by `look`."""
+    """The chosen model, fitted to everything, and every model that was tried. seen: of each recording, by `look`.
+
+    line: the best linear model, where tests compare it with a network.
+    """
 
     task: Task
     chosen: Tried
@@ -76,6 +100,7 @@ class Identified:
     seen: dict[str, Seen]
     tests: Mapping[str, Recording]
     seconds: float
+    line: Network | None = None
 
 
 def identify(
@@ -95,6 +120,12 @@ def identify(
         if not same(other.dt, first.dt):
             raise InputError(f"{other.source}: sampled every {other.dt:g} s, {first.source} every {first.dt:g} s")
     posed = task(recordings, inputs, output, settle)
+    for test in tests.values():
+        if test.samples < (least := posed.settle + SHORTEST):
+            raise InputError(
+                f"{test.source}: {test.samples} samples; a test needs {least}; the first {posed.settle} settle its state "
+                "(--settle)"
+            )
     progress("loading what trains networks")
     warm(posed)
     began = process_time()
@@ -103,7 +134,8 @@ def identify(
     search.run(*reach(posed, seen.values()))
     chosen, fit = search.final()
     network = replace(fit.network, dt=first.dt)
-    return Identified(search.task, chosen, network, search, seen, tests, search.clock.spent())
+    line = search.best_linear()[1] if tests and not chosen.model.form.linear else None
+    return Identified(search.task, chosen, network, search, seen, tests, search.clock.spent(), line)
 
 
 # ---- what is told
@@ -115,29 +147,75 @@ def figures(found: Identified) -> IdentifiedFacts:
     finalists = search.finalists()
     line = next((x for x in finalists if x.model.form.linear), found.chosen)
     runner = next((x for x in finalists if x is not found.chosen), None)
-    tested = {n: t.errors(found.network, t.record(r)) for n, r in found.tests.items()}
+    judged = {n: t.record(r) for n, r in found.tests.items()}
+    tested = {n: t.errors(found.network, r) for n, r in judged.items()}
+    lined = {} if found.line is None else {n: t.errors(found.line, r) for n, r in judged.items()}
+    fits = {n: _fit(e, judged[n].targets[t.output.name][t.settle :]) for n, e in tested.items()}
+    row = _row(t, found.chosen, folds)
     sure = None if found.chosen.model.form.linear else sure_of(found.chosen, line, folds)
     return {
-        "chosen": _row(t, found.chosen, folds),
-        "better_than_mean": bool(_row(t, found.chosen, folds)["fit"] > 0),
+        "chosen": row,
+        "better_than_mean": _beats_the_mean(found, folds),
         "whole": search.whole(found.network),
         "part_count": t.parts,
         "parts": {place + 1: found.chosen.over([place]) for place in folds},
         "held_out_interval": interval(segments(found.chosen, folds)),
         "test": {n: None if e is None else rms(e) for n, e in tested.items()},
+        "test_linear": {n: None if e is None else rms(e) for n, e in lined.items()},
+        "test_beyond": _beyond(found, judged),
+        "test_fit": fits,
         "unit": t.output.unit,
         "confidence": {
             "better_than_linear": sure,
             "better_than_next": None if runner is None else sure_of(found.chosen, runner, folds),
             "next": None if runner is None else runner.model.name,
+            "next_is": None if runner is None else _why_not(runner, found.chosen, line, folds),
         },
         "models": [_row(t, tried, folds) for tried in finalists],
         "tried": len(search.tried),
         "untried": dict(Counter(model.form.name for model in search.untried)),
         "settle": t.settle,
         "seconds": round(found.seconds, 1),
-        "recordings": found.seen,
+        "recordings": {n: _answering(seen, row["fit"]) for n, seen in found.seen.items()},
     }
+
+
+def _fit(errors: np.ndarray | None, measured: np.ndarray) -> float:
+    return -np.inf if errors is None else float(100 * (1 - rms(errors) / max(np.std(measured), TINY)))
+
+
+def _beats_the_mean(found: Identified, folds: Sequence[int]) -> bool:
+    """Whether the chosen one surely errs less than the mean of what was recorded, on what was held out."""
+    t, mean = found.task, found.task.output.offset
+    blocks = [b for place in folds for b in found.search.folds[place].blocks]
+    flat = segmented([b.targets[t.output.name][b.skip :] - mean for b in blocks])
+    errors = segments(found.chosen, folds)
+    drawn = draws(len(errors))
+    return bool(np.mean(errors[drawn].mean(1) < flat[drawn].mean(1)) >= SURE)
+
+
+def _beyond(found: Identified, tests: Mapping[str, Record]) -> dict[str, dict[str, float]]:
+    records = {**found.task.records, **tests}
+    shares = coverage(found.network, records, list(found.task.records)) if tests else []
+    return {n: {c.signal: c.outside for c in shares if c.record == n and c.outside > FEW} for n in tests}
+
+
+def _why_not(other: Tried, chosen: Tried, line: Tried, folds: Sequence[int]) -> str | None:
+    """Why another was not chosen that is likelier to be the better one; None where it is not."""
+    if sure_of(chosen, other, folds) >= 0.5:
+        return None
+    if not other.model.form.linear and chosen.model.form.linear:
+        return "it is not surely better than a linear model"
+    if not other.safe:
+        return "beyond what was recorded it may run off"
+    return "it has more weights" if other.parameters > chosen.parameters else "over everything it errs more"
+
+
+def _answering(seen: Seen, fit: float) -> Seen:
+    """What was seen, without doubts whether inputs act where a model of them explains the output."""
+    if not fit > EXPLAINED:
+        return seen
+    return {**seen, "remarks": [r for r in seen["remarks"] if UNSEEN not in r]}
 
 
 def _row(t: Task, tried: Tried, folds: Sequence[int]) -> Row:
@@ -175,8 +253,12 @@ def lines(found: IdentifiedFacts) -> list[str]:
     told.append("these stretches chose the model too, so a new recording may well lie above")
     sure = found["confidence"]
     if sure["better_than_linear"] is not None:
-        told.append(f"better than the best linear model with probability {sure['better_than_linear']:.2f}")
-    if sure["better_than_next"] is not None:
+        told.append(f"there better than the best linear model with probability {sure['better_than_linear']:.2f}")
+    if sure["next_is"] is not None:
+        told.append(
+            f"{sure['next']} is better with probability {1 - sure['better_than_next']:.2f}, but {sure['next_is']}"
+        )
+    elif sure["better_than_next"] is not None:
         told.append(f"better than the next, {sure['next']}, with probability {sure['better_than_next']:.2f}")
     usual = float(np.median(list(found["parts"].values())))
     for part, error in found["parts"].items():
@@ -196,7 +278,22 @@ def lines(found: IdentifiedFacts) -> list[str]:
         )
     for name, missed in found["test"].items():
         told.append(f"test {name}: RMSE {'inf' if missed is None else format(missed, '.4g')}{unit}")
+        if name in found["test_linear"]:
+            told[-1] += f"; the best linear model {_finite(found['test_linear'][name], '.4g')}{unit}"
+        told += _unforetold(found, name, high)
     return told
+
+
+def _unforetold(found: IdentifiedFacts, name: str, high: float) -> list[str]:
+    """What to say of a test that errs by more than was foretold."""
+    missed, fit = found["test"][name], found["test_fit"][name]
+    if missed is not None and missed <= high:
+        return []
+    beyond = [f"{share:.0%} of {channel}" for channel, share in found["test_beyond"][name].items()]
+    where = f": {' and '.join(beyond)} lies beyond what was recorded; record there, too" if beyond else ""
+    times = "" if missed is None or not high > 0 else f"{missed / high:.2g} times what held-out stretches foretold"
+    mean = "no better than the output's mean" if fit is None or not fit > 0 else ""
+    return ["  that is " + ", and ".join(filter(None, (times, mean))) + where] if times or mean else []
 
 
 def _finite(value: float | None, form: str) -> str:

@@ -17,6 +17,7 @@ ENDS = 0.02  # share of samples at an end of a signal's range from which a senso
 COARSE = 0.02  # of a signal's deviation: a sensor's step above it is seen in the errors
 DRIFT = 1.0  # deviations that a signal's mean may move between the first and the last quarter
 LONGEST = 50  # samples of delay that are looked for
+UNSEEN = "does not visibly answer"
 STRIDE = 10.0  # samples in a period of the bandwidth that taps should have
 
 
@@ -51,7 +52,7 @@ def look(recording: Recording, inputs: Sequence[str], output: str) -> Seen:
     remarks = [line for name, seen in channels.items() for line in _remarks(name, seen, name == output, recording.dt)]
     for name, delay in delays.items():
         if delay is None and _longest(recording) > 0:
-            remarks.append(f"{output} does not visibly answer {name}: it may be slow, or {name} without effect")
+            remarks.append(f"{output} {UNSEEN} {name}: it may be slow, or {name} without effect")
     return {
         "samples": recording.samples,
         "dt": recording.dt,

@@ -121,3 +121,20 @@ def test_two_recordings_are_no_old_spelling(greygate):
     code, _, error = greygate("init", "a.csv", "b.csv", "--output", "y")
     assert code == 2
     assert "old spelling" not in error
+
+
+@pytest.mark.parametrize(
+    ("words", "twice"),
+    [
+        ("identify a.csv --output y --output z --out o", "--output"),
+        ("identify a.csv --output y -o o --out=p", "--out"),
+        ("dev conceal drum --out a --out b", "--out"),
+        ("identify a.csv --input u --input v --output y --out o", ""),
+        ("identify a.csv --output y --out o -- --output", ""),
+    ],
+)
+def test_a_value_that_would_be_dropped_is_refused(words, twice, greygate):
+    code, _, error = greygate(*words.split())
+    assert code == 2
+    assert ("is given twice" in error) == bool(twice)
+    assert twice in error

@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import typer
 from typer.core import TyperGroup
 
 from greygate.cli.terminal import say
@@ -48,7 +49,10 @@ class Commands(TyperGroup):
                 option.opts = [*(SHORT[word] for word in option.opts if word in SHORT), *option.opts]
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, args if ctx.resilient_parsing else spelt(self, args))
+        if not ctx.resilient_parsing:
+            args = spelt(self, args)
+            once_each(self, args)
+        return super().parse_args(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         headings: dict[str, list[tuple[str, str]]] = {}
@@ -80,6 +84,19 @@ def spelt(root: Any, given: list[str]) -> list[str]:
     if args != given:
         say(f"greygate: an old spelling; it is called: greygate {shlex.join(args)}")
     return args
+
+
+def once_each(root: Any, args: list[str]) -> None:
+    """Raise BadParameter where an option of one value is given twice: the parser would take the last."""
+    known = leaves(root)
+    name = next((n for n in known if n.split() == args[: len(n.split())]), None)
+    if name is None:
+        return
+    given = [word for word, _, _ in _words(args[: args.index("--") if "--" in args else len(args)], known[name])]
+    for option in known[name].params:
+        one = option.param_type_name == "option" and not (option.multiple or getattr(option, "is_flag", False))
+        if one and sum(word in option.opts for word in given) > 1:
+            raise typer.BadParameter(f"{option.opts[-1]} is given twice; it has one value")
 
 
 def _of(name: str, args: list[str], known: dict[str, Any]) -> list[str]:

@@ -188,8 +188,8 @@ def identify(
     """Find a network from recordings alone.
 
     It fits linear models, grows networks from the best, and chooses by held-out blocks; its seconds are those of the
-    processor, over all processes. Exit code 1 if no network predicts better than the mean of what was held out, or the
-    chosen one diverges on a test.
+    processor, over all processes. Exit code 1 if no network predicts better than the mean, of what was held out or on a
+    test.
     """
     from greygate.identify.files import identify_files, lines
     from greygate.pages.identified import page
@@ -203,7 +203,7 @@ def identify(
         )  # fmt: skip
     written = [f"written to {path}" for path in (found["out"], html) if path is not None]
     told = [*lines(found), *written, *(f"next: {n}" for n in found["next"])]
-    predicts = found["better_than_mean"] and all(error is not None for error in found["test"].values())
+    predicts = found["better_than_mean"] and all(fit is not None and fit > 0 for fit in found["test_fit"].values())
     give("identify", found, as_json, told, predicts)
 
 
