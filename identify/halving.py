@@ -53,6 +53,7 @@ STATE = (0.03, 1.0, 1e-3)  # decays of a state space's neurons, whose signals ar
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
 SURE = 0.95  # that a network is better than every linear model, from which it is chosen
 SPOILT = 1.1  # factor of the error over everything by which a fit to everything may be worse than one to a part
+WAYS = ((0.0, 1.0), (-0.5, 1.0), (0.5, 1.0), (0.0, 1.5))  # aside and louder: how networks of all folds must agree
 ASIDE = 0.5  # deviations by which inputs stand beside what was recorded
 STRAY = 3.0  # times what the recording and a linear model then fill, from which a network's run strays
 SAFER = 1.5  # factor of the error up to which a network whose linear loop does not grow is taken before one whose does
@@ -413,11 +414,24 @@ class Halving:
         ranked, folds = self.finalists(), self.shared()
         lines = [t for t in ranked if t.model.form.linear]
         bent = [t for t in ranked if not t.model.form.linear and (not lines or surely(t, lines[0], folds))]
-        ranked = bent or lines
+        ranked = [t for t in bent if not lines or self.agrees(t, lines[0])] or lines or bent
         safe = [t for t in ranked if t.safe and t.over(folds) <= SAFER * ranked[0].over(folds)]
         ranked = safe or ranked
         near = [t for t in ranked if t.over(folds) <= SIMPLER * ranked[0].over(folds)]
         return min(near, key=lambda t: (t.parameters, t.over(folds)))
+
+    def agrees(self, tried: Tried, line: Tried, *more: Network) -> bool:
+        """Whether the networks of all folds, and `more`, answer alike, where a linear model says what alike is.
+
+        Networks that learnt from nearly the same, and answer otherwise where inputs are larger or stand aside, know
+        little of what is there: they may part by what the linear model errs on what was held out, or as those of its
+        folds do.
+        """
+        return all(
+            _parted(self.task, [*tried.networks.values(), *more], *way)
+            <= max(line.error, _parted(self.task, line.networks.values(), *way))
+            for way in WAYS
+        )
 
     def whole(self, network: Network) -> float:
         """RMS error of free runs over the complete recordings; inf: diverges."""
@@ -441,7 +455,9 @@ class Halving:
         Where all of the best do, it is the one that errs least: the recordings' inputs do not explain their output.
         """
         first = self.chosen()
-        best = [first, *(t for t in self.finalists() if t.safe and t is not first)][:REFITTED]
+        line = next((t for t in self.finalists() if t.model.form.linear), None)
+        others = (t for t in self.finalists() if t.safe and t is not first)
+        best = [first, *(t for t in others if t.model.form.linear or not line or self.agrees(t, line))][:REFITTED]
         starts = {t.model: self.standing(t) for t in best}
         sound = [t for t in best if starts[t.model].error <= WORSE * t.error]
         best = sound or sorted(best, key=lambda t: starts[t.model].error)
@@ -454,7 +470,9 @@ class Halving:
             share = math.inf if tried.model.form.linear else share  # as `best_linear` has it
             fit, start = self.complete(tried, share), starts[tried.model]
             now = self.stands(tried.model, fit.network)
-            if (start.grows, SPOILT * start.error) < (now.grows, now.error):  # more data have made it worse
+            parted = line and not tried.model.form.linear and not self.agrees(tried, line, fit.network)
+            spoilt = (start.grows, SPOILT * start.error) < (now.grows, now.error)  # more data have made it worse
+            if spoilt or (parted and not start.grows and start.error <= WORSE * tried.error):
                 now, fit = start, replace(fit, network=start.network, initial=())
             found.append((now, tried, fit))
         now, tried, fit = min(found, key=lambda f: (f[0].grows, f[0].error))
@@ -596,6 +614,27 @@ def strays(network: Network, line: Network | None, task: Task) -> bool:
         for r in task.records.values()
         for aside in (-ASIDE, ASIDE)
     )
+
+
+def _parted(task: Task, networks: Iterable[Network], aside: float, louder: float) -> float:
+    """RMS distance of their free runs from the median of these, in the output's unit; inf where one diverges.
+
+    aside: deviations by which the inputs stand beside what was recorded. louder: how many times they go from the mean.
+    """
+    squares, count, far = 0.0, 0, [1.0]
+    for record in task.records.values():
+        inputs = {n: u.mean() + louder * (u - u.mean()) + aside * u.std() for n, u in record.inputs.items()}
+        driven = replace(record, inputs=inputs)
+        try:  # each from where it rests: no first samples of such a run were measured
+            errors = np.array([float_error(n, driven)[task.output.name][task.settle :] for n in networks])
+        except InputError:
+            return np.inf
+        middle = np.median(errors, axis=0)
+        apart = errors - middle
+        squares, count = squares + float(np.sum(apart**2)), count + apart.size
+        run = middle + record.targets[task.output.name][task.settle :]
+        far.append(float(np.std(run)) / float(np.std(record.targets[task.output.name])))
+    return float(np.sqrt(squares / count)) / max(1.0, *far)
 
 
 def _reach(network: Network, record: Record, output: Port, aside: float) -> float:
