@@ -123,8 +123,8 @@ def identify(
     for test in tests.values():
         if test.samples < (least := posed.settle + SHORTEST):
             raise InputError(
-                f"{test.source}: {test.samples} samples; a test needs {least}; the first {posed.settle} settle its state "
-                "(--settle)"
+                f"{test.source}: {test.samples} samples; a test needs {least}, for its state settles in the first "
+                f"{posed.settle}; give fewer by --settle"
             )
     progress("loading what trains networks")
     warm(posed)

@@ -102,6 +102,37 @@ def test_a_dead_zone_is_found_as_a_curve_of_the_input(bent):
     assert told["confidence"]["better_than_linear"] > 0.99
 
 
+def test_a_test_that_errs_more_than_was_foretold_is_told_beside_the_line_and_what_lies_beyond(bent):
+    loud = recorded(4, gap=0.4)
+    loud = replace(loud, channels={"u": 4.0 * loud["u"], "y": 2.0 * loud["y"]}, source="loud")
+    line = bent.search.best_linear()[1]
+    told = figures(replace(bent, tests={"quiet": recorded(2, gap=0.4, noise=0.0), "loud": loud}, line=line))
+    errs, foretold = told["test"]["loud"], told["held_out_interval"][1]
+    said = [text for text in lines(told) if text.startswith("test ")]
+    assert said[0].startswith(f"test quiet: RMSE {told['test']['quiet']:.4g} m; the best linear model ")
+    after = lines(told)[lines(told).index(said[1]) + 1 :]
+    assert after[0].startswith(f"  that is {errs / foretold:.2g} times what held-out stretches foretold")
+    assert re.search(r"\d\d% of u(?: and \d+% of y)? lies beyond what was recorded", after[0])
+    assert not lines(told)[lines(told).index(said[0]) + 1].startswith("  that is")
+    assert told["test_linear"]["quiet"] > 3 * told["test"]["quiet"]
+
+
+def test_what_stands_above_the_chosen_one_is_told_with_the_reason(searched):
+    first = searched.chosen()
+    lower = {place: [0.98 * e for e in of] for place, of in first.errors.items()}
+    heavy = replace(first, model=replace(first.model, orders=Orders(2, (9,))), errors=lower)
+    searched.tried[heavy.model] = heavy
+    vars(heavy)["parameters"] = first.parameters + 1
+    assert searched.chosen() is first
+    found = Identified(searched.task, first, replace(first.first, dt=0.1), searched, {}, {}, 1.0)
+    assert f"{heavy.model.name} is better with probability 1.00, but it has more weights" in lines(figures(found))
+
+
+def test_a_test_too_short_to_settle_is_refused(short):
+    with pytest.raises(InputError, match="run2: 16 samples; a test needs"):
+        found(recorded(1), [recorded(2, samples=16)])
+
+
 def test_a_linear_plant_keeps_a_linear_model(straight):
     told = figures(straight)
     assert told["chosen"]["model"].startswith(LINEAR.name)

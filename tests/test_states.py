@@ -125,6 +125,32 @@ def test_a_network_is_chosen_only_where_it_is_surely_better_than_a_line():
     assert search.chosen() is far
 
 
+def test_a_network_whose_folds_answer_apart_is_not_chosen():
+    """However small its error: what is not known of larger inputs shows where networks of all folds part."""
+    posed = task({"a": recorded(1)}, ["u", "w"], "y")
+    search, orders = halving.Halving(posed, np.inf, 1), Orders(1, (0, 0))
+    model = halving.Model(SPACES[0], orders)
+    linear, records = line(posed, orders, **{"state.u_z0": 1.0, "state.y_z1": 0.5}), [*posed.records.values()]
+    alike = states(model.form, orders, posed.inputs, posed.output, linear, records, 0)
+    (neurons,) = (n for n in alike.parameters() if n.startswith("states.") and n.endswith("neurons"))
+    bent = alike.with_parameters({neurons: 3.0 * np.ones_like(alike.parameters()[neurons])})
+
+    def tried(model: halving.Model, networks, error: float) -> halving.Tried:
+        errors = {k: [np.full(40, error)] for k in range(2)}
+        return halving.Tried(model, 3, dict(enumerate(networks)), errors, 0.0)
+
+    straight = tried(halving.Model(LINEAR, orders, 0.0), [linear, linear], 0.1)
+    one, other = tried(model, [alike, alike], 0.01), tried(model, [alike, bent], 0.01)
+    assert search.agrees(one, straight)
+    assert not search.agrees(one, straight, bent)
+    for network in (one, other):
+        search.tried = {t.model: t for t in (straight, network)}
+        assert search.chosen() is (one if network is one else straight)
+    shifted = linear.with_parameters({"state.bias": [1.0]})
+    assert halving._parted(posed, [linear, linear], 0.5, 1.5) == 0.0
+    assert halving._parted(posed, [linear, shifted], 0.0, 1.0) > 0.3 * posed.output.scale
+
+
 def test_a_network_that_fails_over_one_stretch_alone_is_better_too():
     posed = task({"a": recorded(1)}, ["u", "w"], "y")
     network = LINEAR.build(Orders(1, (0, 0)), posed.inputs, posed.output, 0)
