@@ -55,7 +55,7 @@ SURE = 0.95  # that a network is better than every linear model, from which it i
 SPOILT = 1.1  # factor of the error over everything by which a fit to everything may be worse than one to a part
 WAYS = ((0.0, 1.0), (-0.5, 1.0), (0.5, 1.0), (0.0, 1.5))  # aside and louder: how networks of all folds must agree
 ASIDE = 0.5  # deviations by which inputs stand beside what was recorded
-STRAY = 3.0  # times what the recording and a linear model then fill, from which a network's run strays
+STRAY = 3.0  # times what a linear model then fills, or errs, from which a network's run strays, or those of folds part
 SAFER = 1.5  # factor of the error up to which a network whose linear loop does not grow is taken before one whose does
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
 FEWEST = 20  # samples, from which something may be fitted at all
@@ -429,7 +429,7 @@ class Halving:
         """
         return all(
             _parted(self.task, [*tried.networks.values(), *more], *way)
-            <= max(line.error, _parted(self.task, line.networks.values(), *way))
+            <= STRAY * max(line.error, _parted(self.task, line.networks.values(), *way))
             for way in WAYS
         )
 
