@@ -98,7 +98,8 @@ def _lines(function: str, arg: Fix, out: Fix, budget: float, form: Form, reach: 
     for _ in range(ATTEMPTS):
         fitted = fit_lines(goal, Symmetry(f.symmetry), limit, aim, LARGEST_BITS, several=form is Form.OCTAVES)
         table = Lines(name, function, Symmetry(f.symmetry), *fitted, arg, out, math.inf)
-        excess = _worst_of_all(table, reach, avoidable=True) / out.lsb - budget
+        seen = _worst(table, _spread(reach), avoidable=True) / out.lsb  # where some codes err too much, so do all
+        excess = (seen if seen > budget else _worst_of_all(table, reach, avoidable=True) / out.lsb) - budget
         found.append((max(0.0, excess), table))
         if excess <= 0:
             break

@@ -41,6 +41,7 @@ from greygate.progress import Progress, once, silent
 KIND = "identify"  # of the folder's manifest
 UNLIKE = 5.0  # times the median part's error, from which a part is taken to hold what no other does
 EXPLAINED = 50.0  # per cent of fit, from which inputs are known to act
+NEXT = 1.1  # times what was foretold: what errs by less is as foretold
 FEW = 0.05  # of a channel's samples on a test, beyond what was recorded
 TINY = 1e-300
 SHOWN = 12  # models in the table of a terminal
@@ -287,7 +288,7 @@ def lines(found: IdentifiedFacts) -> list[str]:
 def _unforetold(found: IdentifiedFacts, name: str, high: float) -> list[str]:
     """What to say of a test that errs by more than was foretold."""
     missed, fit = found["test"][name], found["test_fit"][name]
-    if missed is not None and missed <= high:
+    if missed is not None and missed <= NEXT * high:
         return []
     beyond = [f"{share:.0%} of {channel}" for channel, share in found["test_beyond"][name].items()]
     where = f": {' and '.join(beyond)} lies beyond what was recorded; record there, too" if beyond else ""

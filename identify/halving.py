@@ -55,7 +55,8 @@ SURE = 0.95  # that a network is better than every linear model, from which it i
 SPOILT = 1.1  # factor of the error over everything by which a fit to everything may be worse than one to a part
 WAYS = ((0.0, 1.0), (-0.5, 1.0), (0.5, 1.0), (0.0, 1.5))  # aside and louder: how networks of all folds must agree
 ASIDE = 0.5  # deviations by which inputs stand beside what was recorded
-STRAY = 3.0  # times what a linear model then fills, or errs, from which a network's run strays, or those of folds part
+STRAY = 3.0  # times what the recording and a linear model then fill, from which a network's run strays
+APART = 1.5  # times what a linear model errs on what was held out, from which the networks of all folds answer apart
 SAFER = 1.5  # factor of the error up to which a network whose linear loop does not grow is taken before one whose does
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
 FEWEST = 20  # samples, from which something may be fitted at all
@@ -420,18 +421,24 @@ class Halving:
         near = [t for t in ranked if t.over(folds) <= SIMPLER * ranked[0].over(folds)]
         return min(near, key=lambda t: (t.parameters, t.over(folds)))
 
-    def agrees(self, tried: Tried, line: Tried, *more: Network) -> bool:
-        """Whether the networks of all folds, and `more`, answer alike, where a linear model says what alike is.
+    def agrees(self, tried: Tried, line: Tried) -> bool:
+        """Whether the networks of all folds answer alike, where a linear model says what alike is.
 
         Networks that learnt from nearly the same, and answer otherwise where inputs are larger or stand aside, know
-        little of what is there: they may part by what the linear model errs on what was held out, or as those of its
-        folds do.
+        little of what is there. One of them may be an odd one.
         """
-        return all(
-            _parted(self.task, [*tried.networks.values(), *more], *way)
-            <= STRAY * max(line.error, _parted(self.task, line.networks.values(), *way))
-            for way in WAYS
-        )
+        return bool(np.max(np.median(self.apart(tried.networks.values(), line), axis=1)) <= APART)
+
+    def apart(self, networks: Iterable[Network], line: Tried) -> np.ndarray:
+        """How far each runs from the median of all (ways of the inputs, networks), in parts of what is alike.
+
+        That is what a linear model errs on what was held out, or how far apart those of its folds run.
+        """
+        found, all_ = [], list(networks)
+        for way in WAYS:
+            alike = max(line.error, float(np.median(_apart(self.task, list(line.networks.values()), *way))))
+            found.append(_apart(self.task, all_, *way) / alike if np.isfinite(alike) else np.zeros(len(all_)))
+        return np.array(found)
 
     def whole(self, network: Network) -> float:
         """RMS error of free runs over the complete recordings; inf: diverges."""
@@ -470,15 +477,26 @@ class Halving:
             share = math.inf if tried.model.form.linear else share  # as `best_linear` has it
             fit, start = self.complete(tried, share), starts[tried.model]
             now = self.stands(tried.model, fit.network)
-            parted = line and not tried.model.form.linear and not self.agrees(tried, line, fit.network)
-            spoilt = (start.grows, SPOILT * start.error) < (now.grows, now.error)  # more data have made it worse
-            if spoilt or (parted and not start.grows and start.error <= WORSE * tried.error):
+            if (odd := self.odd(tried, fit.network, line)) is not None:
+                start = odd
+            if odd or (start.grows, SPOILT * start.error) < (now.grows, now.error):  # more data have made it worse
                 now, fit = start, replace(fit, network=start.network, initial=())
             found.append((now, tried, fit))
         now, tried, fit = min(found, key=lambda f: (f[0].grows, f[0].error))
         if not np.isfinite(now.error):
             raise InputError("every model diverges over the complete recordings; are they of one plant?")
         return tried, fit
+
+    def odd(self, tried: Tried, network: Network, line: Tried | None) -> Standing | None:
+        """The fold's network amid the others, where the one fitted to everything runs apart from them."""
+        if line is None or tried.model.form.linear:
+            return None
+        far = np.max(self.apart([*tried.networks.values(), network], line), axis=0)
+        amid = int(np.argmin(far[:-1]))
+        if far[-1] <= APART or far[amid] > APART:
+            return None
+        found = self.stands(tried.model, list(tried.networks.values())[amid])
+        return found if not found.grows and found.error <= WORSE * tried.error else None
 
     def best_linear(self) -> tuple[Tried, Network]:
         """The linear model that errs least on what was held out and does not drift off, fitted to everything.
@@ -616,25 +634,30 @@ def strays(network: Network, line: Network | None, task: Task) -> bool:
     )
 
 
-def _parted(task: Task, networks: Iterable[Network], aside: float, louder: float) -> float:
-    """RMS distance of their free runs from the median of these, in the output's unit; inf where one diverges.
+@np.errstate(over="ignore", invalid="ignore")  # a run may diverge
+def _apart(task: Task, networks: Sequence[Network], aside: float, louder: float) -> np.ndarray:
+    """RMS distance of their free runs from the median of these, in the output's unit (networks,); inf: diverges.
 
-    aside: deviations by which the inputs stand beside what was recorded. louder: how many times they go from the mean.
+    Of runs that go further than what was recorded, so much less. aside: deviations by which the inputs stand beside
+    what was recorded. louder: how many times as far from their mean they go.
     """
-    squares, count, far = 0.0, 0, [1.0]
+    squares, count, far = np.zeros(len(networks)), 0, 1.0
     for record in task.records.values():
         inputs = {n: u.mean() + louder * (u - u.mean()) + aside * u.std() for n, u in record.inputs.items()}
-        driven = replace(record, inputs=inputs)
-        try:  # each from where it rests: no first samples of such a run were measured
-            errors = np.array([float_error(n, driven)[task.output.name][task.settle :] for n in networks])
-        except InputError:
-            return np.inf
-        middle = np.median(errors, axis=0)
-        apart = errors - middle
-        squares, count = squares + float(np.sum(apart**2)), count + apart.size
-        run = middle + record.targets[task.output.name][task.settle :]
-        far.append(float(np.std(run)) / float(np.std(record.targets[task.output.name])))
-    return float(np.sqrt(squares / count)) / max(1.0, *far)
+        measured = record.targets[task.output.name][task.settle :]
+        runs = np.array([_rested(task, n, replace(record, inputs=inputs)) for n in networks]) + measured
+        middle = np.median(runs, axis=0)
+        squares += np.nan_to_num(np.sum((runs - middle) ** 2, axis=1), nan=np.inf)
+        count, far = count + len(measured), max(far, float(np.nan_to_num(np.std(middle) / np.std(measured), nan=1.0)))
+    return np.sqrt(squares / count) / far
+
+
+def _rested(task: Task, network: Network, record: Record) -> np.ndarray:
+    """Errors of a free run from where it rests, for no first samples of it were measured; inf where it diverges."""
+    try:
+        return float_error(network, record)[task.output.name][task.settle :]
+    except InputError:
+        return np.full(len(record) - task.settle, np.inf)
 
 
 def _reach(network: Network, record: Record, output: Port, aside: float) -> float:

@@ -142,13 +142,20 @@ def test_a_network_whose_folds_answer_apart_is_not_chosen():
     straight = tried(halving.Model(LINEAR, orders, 0.0), [linear, linear], 0.1)
     one, other = tried(model, [alike, alike], 0.01), tried(model, [alike, bent], 0.01)
     assert search.agrees(one, straight)
-    assert not search.agrees(one, straight, bent)
+    assert not search.agrees(other, straight)
+    assert search.agrees(tried(model, [alike, bent, alike], 0.01), straight)  # one may be odd
+    assert search.odd(one, alike, straight) is None
+    found = search.odd(replace(one, errors={0: [np.full(40, 9.0)]}), bent, straight)
+    assert found is not None
+    assert found.network is alike
     for network in (one, other):
         search.tried = {t.model: t for t in (straight, network)}
         assert search.chosen() is (one if network is one else straight)
     shifted = linear.with_parameters({"state.bias": [1.0]})
-    assert halving._parted(posed, [linear, linear], 0.5, 1.5) == 0.0
-    assert halving._parted(posed, [linear, shifted], 0.0, 1.0) > 0.3 * posed.output.scale
+    assert halving._apart(posed, [linear, linear], 0.5, 1.5).tolist() == [0.0, 0.0]
+    assert halving._apart(posed, [linear, shifted], 0.0, 1.0).min() > 0.3 * posed.output.scale
+    runaway = linear.with_parameters({"state.y_z1": [[9.0]]})
+    assert halving._apart(posed, [linear, linear, runaway], 0.0, 1.0)[2] > 1e9
 
 
 def test_a_network_that_fails_over_one_stretch_alone_is_better_too():

@@ -31,11 +31,11 @@ def arctan(builder: Builder, x: Value, hint: str = "arctan") -> Value:
 def arctan2(builder: Builder, y: Value, x: Value, hint: str = "arctan2") -> Value:
     """The angle of (x, y), from that of the octant; at 0, 0 it is 0."""
     high, wide = (builder.rectified(v, -1.0, hint) for v in (y, x))
-    steep = high.plus(wide.times(-1.0))
+    flat = wide.plus(high.times(-1.0))  # 0 at 0, 0, where the angle is that of a flat one
     largest = builder.maximum(high, wide, hint)
     least = builder.minimum(high, wide, hint)
     part = arctan(builder, builder.product(least, norms.inverse(builder, largest, hint), hint), hint)
-    found = builder.chosen(steep, part.times(-1.0).plus(constant(pi / 2)), part, hint)
+    found = builder.chosen(flat, part, part.times(-1.0).plus(constant(pi / 2)), hint)
     found = builder.chosen(x, found, found.times(-1.0).plus(constant(pi)), hint)
     return builder.chosen(y, found, found.times(-1.0), hint)
 

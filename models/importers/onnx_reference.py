@@ -324,6 +324,8 @@ def _together(name: str, every: Iterable[Sequence[int | str]]) -> set[str]:
 
 
 def _unequal(where: str, off: str) -> InputError:
+    if off.startswith(UNTRIED):
+        return InputError(f"{where}: nothing says whether the network made of it answers as the model ({off})")
     report = "" if off.endswith(LIMIT) else "; please report this"
     return InputError(f"{where}: the network made of it does not answer as the model ({off}){report}")
 
