@@ -15,10 +15,12 @@ from greygate.compiler.lines import Goal, affordable, fit_lines
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.numbers import Fix
 from greygate.emulator.tables import Lines, Symmetry, Table
+from greygate.errors import InputError
 from greygate.models.activations import ACTIVATIONS, Activation
 from greygate.models.arithmetic import xp
 
 LARGEST_BITS = 12  # 4096 intervals
+MOST = 30  # bits of a table's argument: minutes to check
 CHUNK = 1 << 20
 ATTEMPTS = 6  # at lines that meet a budget for every code
 
@@ -74,8 +76,14 @@ def make_table(
     segments: the least between points, unless the argument has fewer codes; a power of two.
     The error is that of the table, without rounding of the argument. Where f is 1, `out` is one LSB too small, and this
     counts. If no table of up to 4096 points meets the budget, it takes the largest, whose worst error shows this.
+    Raises InputError for an argument of more than MOST bits.
     """
     reach = min(arg.width - 1, integer_bits(flat_from(function, out)) + arg.frac)  # codes that differ: below 2^reach
+    if reach > MOST:
+        raise InputError(
+            f"a table of {function} would answer 2^{reach} arguments, and each is checked: at most 2^{MOST} are; give "
+            "a smaller --width"
+        )
     if form is not Form.POINTS and interpolated:
         return _lines(function, arg, out, budget, form, reach)
     least = segments.bit_length() - 1

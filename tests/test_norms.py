@@ -115,6 +115,16 @@ def test_what_divides_by_a_signal_is_carried_to_the_rounding_of_float64(name):
     assert np.abs(free_run(network, x) - wanted).max() <= 1e-13 * np.abs(wanted).max()
 
 
+def test_the_angle_of_nothing_is_0():
+    class Angle(torch.nn.Module):
+        def forward(self, x):
+            return torch.atan2(x[:, :1], x[:, 1:])
+
+    network = from_torch(Angle(), ["a", "b"], ["y"])
+    for b, wanted in ((0.0, 0.0), (1.0, 0.0), (-1.0, np.pi)):
+        assert network.run({"a": np.zeros(2), "b": np.full(2, b)})["y"][0] == pytest.approx(wanted, abs=1e-15)
+
+
 @pytest.mark.parametrize("whole", [False, True])
 def test_attention_to_the_last_steps_is_carried_and_its_error_in_fixed_point_is_small(whole):
     network = from_torch(Attending(whole), ["a", "b", "c"], [f"y{k}" for k in range(N)])

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from greygate import rtl
-from greygate.compiler.tables import Form, make_table
+from greygate.compiler.tables import Form, make_table, output_fix
 from greygate.compiler.verilog import LOOKUP_CLOCKS, table_layout, table_module, table_text
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.numbers import Fix
 from greygate.emulator.program import Lookup, Program, Signal, Terminal
 from greygate.emulator.tables import Lines, Symmetry, Table
+from greygate.errors import InputError
 from greygate.hardware.replay import simulate
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.arithmetic import xp
@@ -164,3 +165,8 @@ def test_a_table_of_more_segments_has_shorter_ones_and_errs_no_more():
     assert (many.entries, many.shift) == (1025, 2)
     assert many.worst_error < few.worst_error
     assert make_table("tansig", Fix(8, 5), out, segments=1024).shift == 0  # no more than there are codes
+
+
+def test_an_argument_of_more_codes_than_can_be_checked_is_refused():
+    with pytest.raises(InputError, match=r"would answer 2\^35 arguments, and each is checked: .* a smaller --width"):
+        make_table("tansig", Fix(40, 32), output_fix(8))
