@@ -168,5 +168,5 @@ def test_a_table_of_more_segments_has_shorter_ones_and_errs_no_more():
 
 
 def test_an_argument_of_more_codes_than_can_be_checked_is_refused():
-    with pytest.raises(InputError, match=r"would answer 2\^35 arguments, and each is checked: .* a smaller --width"):
+    with pytest.raises(InputError, match=r"would answer 2\^34 arguments, and each is checked: .* a smaller --width"):
         make_table("tansig", Fix(40, 32), output_fix(8))
