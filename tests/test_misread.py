@@ -70,6 +70,35 @@ def tanks(folder: Path, exchanged: bool = False) -> Path:
     return write(folder, TANKS, {"area": 0.02, "outlet": 1e-4}, {"area": 0.05, "outlet": 0.1}, channels, 2.0)
 
 
+ROOM = """step = 1.0
+outputs = ["T"]
+inputs = { heat = "W" }
+parameters = { capacity = [500.0, "J/K"], loss = [2.0, "W/K"], room = [293.0, "K"] }
+states = { T = { unit = "K", initial = 293.0 } }
+[equations]
+warm.T = { storage = "capacity", heat = "heat", loss = "-loss * (T - room)" }
+"""
+
+
+def room(folder: Path, below: float) -> Path:
+    """A body that is heated, whose sensor reads so many K below what it is."""
+    heat, warm, found = steps(5, 0.0, 60.0, 40, 500), 293.0, []
+    for power in heat.tolist():
+        found.append(warm)
+        for _ in range(10):
+            warm += 0.5 * (power - 2.06 * (warm - 293.0)) / 500.0
+    read = np.array(found) - below + 0.02 * np.random.default_rng(6).standard_normal(500)
+    channels = {"heat": ("W", "input", None, heat), "T": ("K", "output", 0.02, read)}
+    return write(folder, ROOM, {"capacity": 500.0, "loss": 2.0, "room": 293.0}, {"loss": 0.1}, channels, 5.0)
+
+
+def test_degrees_celsius_are_no_offset_of_a_sensor(tmp_path):
+    with pytest.raises(InputError, match="T seems to be in degC, not in K: then the simulation errs by"):
+        diagnose(load(room(tmp_path / "rig", 273.15)))
+    named = diagnose(load(room(tmp_path / "other", 5.0))).as_dict()
+    assert [effect["id"] for effect in named["effects"]] == ["sensor_offset"]
+
+
 @pytest.mark.parametrize("noise", [None, 5e-4])
 def test_an_angle_in_degrees_is_refused_with_its_unit(tmp_path, noise):
     folder = swing(tmp_path / "rig", np.pi / 180, noise=noise)
