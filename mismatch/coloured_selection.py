@@ -344,7 +344,15 @@ class ColouredSelection(Selection):
         return [k for k in alike if len(effects[k].free) <= len(one.free)]
 
     def backward(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
-        """Drop the effects that no longer pay."""
+        """Drop the effects that no longer pay, and richer forms than what is beside them asks for."""
+        for key in best.effects:
+            for other, values in forms(self.search, best, current.values, (key,)):
+                if len(self.search.unknowns(other)) >= len(current.unknowns) or self.search.skips(other):
+                    continue
+                fit = self.fits[other] = self.search.fit(current.likelihood, other, values)
+                if fit.cost - current.cost < SURE + _price(current, fit):
+                    best, current = other, fit
+                    break
         for drop in (*best.effects, *best.released):
             if best.size < 2:
                 break
