@@ -163,7 +163,10 @@ def _text(path: Path) -> str:
     if data.startswith(_ZIP):
         raise InputError(f"{path}: is a zip archive, as a spreadsheet of Excel is; {wish}")
     if data[:2] in _MARKS and data[2:4] != b"\0\0":
-        data = data.decode("utf-16", "replace").encode()
+        try:
+            return data.decode("utf-16")
+        except UnicodeDecodeError:
+            raise InputError(f"{path}: is not a CSV text file in UTF-16; {wish}") from None
     if (at := data.find(b"\0")) >= 0:
         raise InputError(f"{path}: is not a CSV text file (byte {at} is 0); {wish}")
     try:

@@ -343,6 +343,7 @@ def test_a_file_that_cannot_serve_is_refused_with_what_to_do(entrance, newline):
 WHOLE = "HEADER\n" + BODY
 BYTES = {
     "UTF-16 without a mark": (lambda t: t.encode("utf-16-le"), "(byte 1 is 0); save it as UTF-8"),
+    "UTF-16 cut in a letter": (lambda t: t.encode("utf-16")[:-1], "is not a CSV text file in UTF-16; save it as"),
     "UTF-32": (lambda t: t.encode("utf-32"), "save it as UTF-8 CSV"),
     "Mac Roman": (lambda t: (t + "4,1,\u00b0\n").encode("mac-roman"), "is not a CSV text file in UTF-8 (row 6); save"),
     "DOS": (lambda t: (t + "4,1,\u00fc\n").encode("cp850"), "is not a CSV text file in UTF-8 (row 6); save it"),
