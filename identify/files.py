@@ -280,7 +280,9 @@ def lines(found: IdentifiedFacts) -> list[str]:
     for name, missed in found["test"].items():
         told.append(f"test {name}: RMSE {'inf' if missed is None else format(missed, '.4g')}{unit}")
         if name in found["test_linear"]:
-            told[-1] += f"; the best linear model {_finite(found['test_linear'][name], '.4g')}{unit}"
+            line = found["test_linear"][name]
+            less = line is not None and not (missed is not None and missed <= line)
+            told[-1] += f"; the best linear model {'errs less, ' * less}{_finite(line, '.4g')}{unit}"
         told += _unforetold(found, name, high)
     return told
 

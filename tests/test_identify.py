@@ -115,6 +115,8 @@ def test_a_test_that_errs_more_than_was_foretold_is_told_beside_the_line_and_wha
     assert re.search(r"\d\d% of u(?: and \d+% of y)? lies beyond what was recorded", after[0])
     assert not lines(told)[lines(told).index(said[0]) + 1].startswith("  that is")
     assert told["test_linear"]["quiet"] > 3 * told["test"]["quiet"]
+    told["test_linear"]["quiet"] = 0.5 * told["test"]["quiet"]
+    assert "; the best linear model errs less, " in next(text for text in lines(told) if text.startswith("test quiet"))
 
 
 def test_what_stands_above_the_chosen_one_is_told_with_the_reason(searched):
