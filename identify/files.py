@@ -257,7 +257,7 @@ def lines(found: IdentifiedFacts) -> list[str]:
         told.append(f"there better than the best linear model with probability {sure['better_than_linear']:.2f}")
     if sure["next_is"] is not None:
         told.append(
-            f"{sure['next']} is better with probability {1 - sure['better_than_next']:.2f}, but {sure['next_is']}"
+            f"{sure['next']} is better with probability {1 - (sure['better_than_next'] or 0.0):.2f}, but {sure['next_is']}"
         )
     elif sure["better_than_next"] is not None:
         told.append(f"better than the next, {sure['next']}, with probability {sure['better_than_next']:.2f}")
