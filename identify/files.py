@@ -255,12 +255,10 @@ def lines(found: IdentifiedFacts) -> list[str]:
     sure = found["confidence"]
     if sure["better_than_linear"] is not None:
         told.append(f"there better than the best linear model with probability {sure['better_than_linear']:.2f}")
-    if sure["next_is"] is not None:
-        told.append(
-            f"{sure['next']} is better with probability {1 - (sure['better_than_next'] or 0.0):.2f}, but {sure['next_is']}"
-        )
-    elif sure["better_than_next"] is not None:
-        told.append(f"better than the next, {sure['next']}, with probability {sure['better_than_next']:.2f}")
+    if (ahead := sure["better_than_next"]) is not None and sure["next_is"] is not None:
+        told.append(f"{sure['next']} is better with probability {1 - ahead:.2f}, but {sure['next_is']}")
+    elif ahead is not None:
+        told.append(f"better than the next, {sure['next']}, with probability {ahead:.2f}")
     usual = float(np.median(list(found["parts"].values())))
     for part, error in found["parts"].items():
         if error > UNLIKE * usual:
