@@ -226,7 +226,7 @@ def world(tmp_path_factory):
     (folder / "folder.toml").mkdir()
     (folder / "empty.csv").touch()
     (folder / "binary.csv").write_bytes(bytes(range(256)))
-    (folder / "utf16.csv").write_bytes((folder / "a.csv").read_text().encode("utf-16"))
+    (folder / "utf16.csv").write_bytes((folder / "a.csv").read_text().encode("utf-16")[:-1])
     (folder / "text.txt").write_text("Dear reader,\nthis is no table.\n")
     (folder / "huge.csv").write_text("t_s,u_V,y_m\n" + "1e308,1e308,1e308\n" * 60)
     for name, content in (("null", None), ("list", [1]), ("other", {"schema": "other"})):

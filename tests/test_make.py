@@ -333,16 +333,17 @@ def test_the_last_of_several_recordings_is_held_out_and_the_end_of_a_single_one(
         (["--max-error", "0.2bar"], "--max-error 0.2bar: no output has a unit of that kind, but V"),
         (["--output", "z"], "plant lag: has no signal z; it has y"),
         (["--test", "FIRST"], "first is both a recording to learn from and one to judge by"),
-        (["--out", "HERE"], "holds first.csv, which greygate make did not write; give a new folder"),
+        ([], "holds first.csv, which greygate make did not write; give a new folder"),
         (["--limits", "u=-1:1"], "are of a controller; give --control REFERENCE.csv, or leave them out"),
         (["--control", "FIRST"], "no input has limits; give --limits NAME=LOW:HIGH of each that is controlled"),
         (["--control", "FIRST", "--limits", "u=-1:1"], "column u is controlled, and cannot be given; leave one out"),
     ],
 )
 def test_what_cannot_be_made_is_refused_before_anything_is_written(world, tmp_path, greygate, given, says):
-    more = [{"FIRST": str(world / "first.csv"), "HERE": str(world)}.get(word, word) for word in given]
+    more = [{"FIRST": str(world / "first.csv")}.get(word, word) for word in given]
+    out = tmp_path / "out" if given else world
     before = sorted(world.iterdir())
-    code, printed, error = greygate(*arguments(world, tmp_path / "out", *more))
+    code, printed, error = greygate(*arguments(world, out, *more))
     assert (code, printed) == (2, "")
     assert says in error
     assert error.count("\n") == 1
