@@ -170,7 +170,7 @@ def figures(found: Identified) -> IdentifiedFacts:
             "better_than_linear": sure,
             "better_than_next": None if runner is None else sure_of(found.chosen, runner, folds),
             "next": None if runner is None else runner.model.name,
-            "next_is": None if runner is None else _why_not(runner, found.chosen, line, folds),
+            "next_is": None if runner is None else _why_not(search, runner, found.chosen, line),
         },
         "models": [_row(t, tried, folds) for tried in finalists],
         "tried": len(search.tried),
@@ -201,10 +201,12 @@ def _beyond(found: Identified, tests: Mapping[str, Record]) -> dict[str, dict[st
     return {n: {c.signal: c.outside for c in shares if c.record == n and c.outside > FEW} for n in tests}
 
 
-def _why_not(other: Tried, chosen: Tried, line: Tried, folds: Sequence[int]) -> str | None:
+def _why_not(search: Halving, other: Tried, chosen: Tried, line: Tried) -> str | None:
     """Why another was not chosen that is likelier to be the better one; None where it is not."""
-    if sure_of(chosen, other, folds) >= 0.5:
+    if sure_of(chosen, other, search.shared()) >= 0.5:
         return None
+    if not other.model.form.linear and line.model.form.linear and not search.agrees(other, line):
+        return "where inputs are larger its networks of different parts answer apart"
     if not other.model.form.linear and chosen.model.form.linear:
         return "it is not surely better than a linear model"
     if not other.safe:

@@ -119,7 +119,7 @@ def test_a_test_that_errs_more_than_was_foretold_is_told_beside_the_line_and_wha
     assert "; the best linear model errs less, " in next(text for text in lines(told) if text.startswith("test quiet"))
 
 
-def test_what_stands_above_the_chosen_one_is_told_with_the_reason(searched):
+def test_what_stands_above_the_chosen_one_is_told_with_the_reason(searched, monkeypatch):
     first = searched.chosen()
     lower = {place: [0.98 * e for e in of] for place, of in first.errors.items()}
     heavy = replace(first, model=replace(first.model, orders=Orders(2, (9,))), errors=lower)
@@ -127,7 +127,10 @@ def test_what_stands_above_the_chosen_one_is_told_with_the_reason(searched):
     vars(heavy)["parameters"] = first.parameters + 1
     assert searched.chosen() is first
     found = Identified(searched.task, first, replace(first.first, dt=0.1), searched, {}, {}, 1.0)
-    assert f"{heavy.model.name} is better with probability 1.00, but it has more weights" in lines(figures(found))
+    said = f"{heavy.model.name} is better with probability 1.00, but "
+    assert said + "it has more weights" in lines(figures(found))
+    monkeypatch.setattr(searched, "agrees", lambda tried, line: tried is not heavy)
+    assert any(text.startswith(said + "where inputs are larger") for text in lines(figures(found)))
 
 
 def test_a_test_too_short_to_settle_is_refused(short):
