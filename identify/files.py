@@ -32,7 +32,7 @@ from greygate.models.accuracy import rms
 from greygate.models.network import Network
 from greygate.models.sampling import same
 from greygate.models.training.record import Record
-from greygate.models.validation import coverage
+from greygate.models.validation import coverage, fit_per_cent
 from greygate.plain import Count, Figure, json_text, plain
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording
@@ -43,7 +43,6 @@ UNLIKE = 5.0  # times the median part's error, from which a part is taken to hol
 EXPLAINED = 50.0  # per cent of fit, from which inputs are known to act
 NEXT = 1.1  # times what was foretold: what errs by less is as foretold
 FEW = 0.05  # of a channel's samples on a test, beyond what was recorded
-TINY = 1e-300
 SHOWN = 12  # models in the table of a terminal
 
 
@@ -151,7 +150,8 @@ def figures(found: Identified) -> IdentifiedFacts:
     judged = {n: t.record(r) for n, r in found.tests.items()}
     tested = {n: t.errors(found.network, r) for n, r in judged.items()}
     lined = {} if found.line is None else {n: t.errors(found.line, r) for n, r in judged.items()}
-    fits = {n: _fit(e, judged[n].targets[t.output.name][t.settle :]) for n, e in tested.items()}
+    measured = {n: r.targets[t.output.name][t.settle :] for n, r in judged.items()}
+    fits = {n: -np.inf if e is None else fit_per_cent(measured[n], measured[n] + e) for n, e in tested.items()}
     row = _row(t, found.chosen, folds)
     sure = None if found.chosen.model.form.linear else sure_of(found.chosen, line, folds)
     return {
@@ -179,10 +179,6 @@ def figures(found: Identified) -> IdentifiedFacts:
         "seconds": round(found.seconds, 1),
         "recordings": {n: _answering(seen, row["fit"]) for n, seen in found.seen.items()},
     }
-
-
-def _fit(errors: np.ndarray | None, measured: np.ndarray) -> float:
-    return -np.inf if errors is None else float(100 * (1 - rms(errors) / max(np.std(measured), TINY)))
 
 
 def _beats_the_mean(found: Identified, folds: Sequence[int]) -> bool:

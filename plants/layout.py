@@ -118,6 +118,8 @@ def seconds(cells: Sequence[str], where: str) -> list[str] | None:
     found = [_DATE.fullmatch(cell) for cell in cells]
     if (bad := next((k for k, each in enumerate(found) if each is None), None)) is not None:
         raise InputError(f"{where}: {cells[bad]!r} is no time as {cells[0]!r} is; write all of them alike")
+    if len({each[1] is None for each in found if each}) > 1:
+        raise InputError(f"{where}: some times have a date and some have none; write all of them alike")
     zones = {each[3] for each in found if each}
     if len(zones) > 1:
         raise InputError(f"{where}: times of the zones {' and '.join(sorted(map(str, zones)))}; write all in one")

@@ -48,11 +48,13 @@ channels.x = { unit = "m", role = "output" }
 SAMPLES = 600
 
 
-def recorded(folder, mass: float = 20.0) -> Coloured:
-    """The likelihood of a slide whose friction is 10 % higher."""
+def recorded(folder, mass: float = 20.0, more: str = "") -> Coloured:
+    """The likelihood of a slide whose friction is 10 % higher. more: a term that the real one has beside."""
     (folder / "slide.toml").write_text(PLANT.replace("step = 1e-3", "step = 1e-4"))
     (folder / "rig.toml").write_text(RIG.replace("mass = 20.0", f"mass = {mass}"))
-    real = Plant.read(folder / "slide.toml").with_parameters(mass=mass, viscous=330.0)
+    text = (folder / "slide.toml").read_text()
+    (folder / "real.toml").write_text(text.replace('* v" }', f'* v", more = "{more}" }}') if more else text)
+    real = Plant.read(folder / "real.toml").with_parameters(mass=mass, viscous=330.0)
     rng = np.random.default_rng(1)
     force = 80 * np.repeat(rng.standard_normal(SAMPLES // 10), 10)
     x = simulate(real, {"force": force}, sample_time=0.012, step=1e-4)["x"]
@@ -281,6 +283,18 @@ def test_a_first_effect_is_fitted_from_the_data_sheet_on_where_something_is_left
     assert kept[1].cost < stuck.cost - SURE
     search.budget.stop()
     assert selection._anew(best, stuck) is stuck
+
+
+def test_a_richer_form_than_what_is_there_asks_for_gives_way(tmp_path):
+    """Friction in the form of Stribeck, with nothing of that in it, is plain dry friction."""
+    model = recorded(tmp_path, more="-12 * tanh(v / 0.05)").model
+    search = Search(model.rig, model.recording, known(model.rig, model.recording))
+    selection, (plain, rich) = selected(search), (("dry_friction",), ("dry_friction_static",))
+    fit = search.fit(selection.plain.likelihood, Hypothesis(plain), {})
+    likelihood = fit.likelihood.learnt(fit.likelihood.residual(fit.values), fit.likelihood.order)
+    best, found = selection.backward(Hypothesis(rich), search.fit(likelihood, Hypothesis(rich), fit.values))
+    assert best.effects == plain
+    assert found.values["f_v"] == pytest.approx(12.0, rel=0.05)
 
 
 def test_when_inputs_act_is_kept_for_a_simulation(tmp_path):

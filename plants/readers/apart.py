@@ -22,7 +22,7 @@ MISSING = {  # type -> what netCDF fills in for a number that was never written;
     "f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "u2": 65535, "i4": -2147483647,
     "u4": 4294967295, "i8": -9223372036854775806, "u8": 18446744073709551614,
 }  # fmt: skip
-NPY = re.compile(r"\{'descr': '([<>|=][fiub]\d+)', 'fortran_order': (True|False), 'shape': \(([\d, ]*)\),? ?\}")
+NPY = re.compile(r"\{'descr': '([<>|=][fiub]\d+)', 'fortran_order': (?:True|False), 'shape': \(([\d, ]*)\),? ?\}")
 DEEP = 20  # groups in one another
 
 
@@ -115,8 +115,8 @@ def _array(data: bytes) -> np.ndarray | None:
     told = NPY.fullmatch(data[start - size : start].decode("latin-1").strip())
     if told is None:
         return None
-    shape = tuple(int(n) for n in told[3].replace(" ", "").split(",") if n)
-    return np.frombuffer(data, told[1], offset=start).reshape(shape, order="F" if told[2] == "True" else "C")
+    shape = tuple(int(n) for n in told[2].replace(" ", "").split(",") if n)
+    return np.frombuffer(data, told[1], offset=start).reshape(shape)  # in any order: a matrix is left out
 
 
 READERS: dict[str, Callable[[], Read]] = {
