@@ -95,9 +95,9 @@ def judged(asked: Task, test: Record) -> Record:
     return started(replace(test, skip=max(test.skip, asked.settle), initial={}), asked.output)
 
 
-def found_by(name: str) -> dict:
+def found_by(name: str, seconds: float = SECONDS) -> dict:
     given, inputs, output, tests = recorded(name)
-    found = identify(given, inputs, output, {}, seconds=SECONDS, jobs=JOBS)
+    found = identify(given, inputs, output, {}, seconds=seconds, jobs=JOBS)
     task, search = found.task, found.search
     line, linear = search.best_linear()
 

@@ -67,6 +67,7 @@ REFITTED = 5  # models that are fitted to everything at most
 LONG = 50_000  # samples that they are then searched on, at most
 WINDOWS = 2  # for each part, into which a fold is cut that is too long to be trained on whole
 EPOCHS = 150  # of a fit to everything
+ENDING = 0.1  # share of the time limit that a linear model's fit to everything has at least
 
 
 @dataclass(frozen=True)
@@ -259,6 +260,10 @@ class Halving:
         """Where that share of what there was to search in is used, for trainings side by side."""
         return Deadline(self.clock, self.loaded + until * (self.seconds - self.loaded), max(self.jobs, 1))
 
+    def used(self) -> float:
+        """Share of what there was to search in that is used."""
+        return (self.clock.spent() - self.loaded) / max(self.seconds - self.loaded, LEAST)
+
     def load(self) -> None:
         """Start the processes, and note what that takes: no share of the search is to pay for it."""
         list(children.workers(self.jobs, [partial(warm, self.task, self.clock)] * max(self.jobs, 1)))
@@ -271,17 +276,18 @@ class Halving:
         self.linear_models(delays, strides)
         if not self.tried:
             raise InputError("no linear model was finished in time; give more --seconds")
-        if self.drifts():
+        if self.drifts() and (self.used() < NOISES.until or not self.lines()):
             self.lengthen([t.model for t in self.ranked()], strides, delays)
         self.rung(0, NOISES, self.noises())
-        models = self.networks()
-        for number, rung in enumerate(RUNGS, 1):
+        models, left = self.networks(), np.clip((1 - self.used()) / (1 - NOISES.until), 0.0, 1.0)
+        rungs = [replace(r, until=1 - left * (1 - r.until)) for r in RUNGS]  # of what linear models have left
+        for number, rung in enumerate(rungs, 1):
             self.rung(number, rung, models[: rung.keep])
             models = [t.model for t in sorted(self.tried.values(), key=lambda t: t.typical) if t.rung == number]
         if math.isfinite(self.seconds):
             for seed in range(RUNGS[-1].seeds, RUNGS[-1].seeds + AGAIN):
-                last = replace(RUNGS[-1], first=seed, seeds=seed + 1)
-                self.rung(len(RUNGS), last, models[: last.keep])
+                last = replace(rungs[-1], first=seed, seeds=seed + 1)
+                self.rung(len(rungs), last, models[: last.keep])
 
     def linear_models(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
         """Orders at the delay that was seen, delays of the best orders; the best are fitted to their free run."""
@@ -290,7 +296,12 @@ class Halving:
         best = [t.model.orders for t in self.ranked()[:LEADING]]
         late = [Model(LINEAR, replace(o, delays=d), 0.0) for d in delays for o in best]
         self.rung(0, QUICK, [m for m in late if m not in self.tried])
-        self.rung(0, LADDER, [t.model for t in self.ranked()[:LEADING]])
+        self.fitted([t.model for t in self.ranked()[:LEADING] if np.isfinite(t.error)], LADDER.until)
+
+    def fitted(self, models: Sequence[Model], until: float) -> None:
+        """Fit linear models to their free run; for the first ones networks wait, which are worth what they grow from."""
+        self.rung(0, replace(LADDER, until=max(until, RUNGS[0].until)), models[: self.jobs])
+        self.rung(0, replace(LADDER, until=until), models[self.jobs :])
 
     def networks(self) -> list[Model]:
         """What grows from the linear models, the most promising first, those of states and others by turns."""
@@ -321,10 +332,14 @@ class Halving:
         before, step = (self.task, self.folds, self.tried), self.task.step
         late = dict.fromkeys([self.ranked()[0].model.orders.delays, *delays[:3]])
         resting = [Model(LINEAR, Orders(o, d, s, step), 0.0) for d in late for s in strides for o in ORDERS[: FEW - 1]]
+        runs = bool(self.lines())
+        until = NOISES.until if runs else RUNGS[0].until
         self.task = replace(self.task, parts=HALVES)
         self.folds, self.tried = self.task.folds(), {}
-        self.rung(0, replace(QUICK, until=NOISES.until), ladder)
-        self.rung(0, replace(LADDER, until=NOISES.until), [*resting, *(t.model for t in self.ranked()[:LEADING])])
+        if not runs:  # what would be tried again has not run before: it waits
+            self.fitted(resting, until)
+        self.rung(0, replace(QUICK, until=until), ladder)
+        self.fitted([*(t.model for t in self.ranked()[:LEADING]), *(resting if runs else [])], until)
         if not self.tried:
             self.task, self.folds, self.tried = before
 
@@ -376,14 +391,18 @@ class Halving:
         return sorted(self.tried.values(), key=lambda t: (t.error, t.parameters))
 
     def rung(self, number: int, rung: Rung, models: Sequence[Model]) -> None:
-        """Train the models on every fold and judge them; those that time does not suffice for stay as they are."""
+        """Train the models on every fold and judge them; those that time does not suffice for stay as they are.
+
+        The first of all has what time it takes: something is to be told.
+        """
         until = self.deadline(rung.until)
         folds = {  # every process is sent only what is trained on
             place: replace(self.folds[place], pieces=thinned(self.folds[place].pieces, rung.samples, self.task))
             for place in range(0, len(self.folds), rung.every)
         }
         known = [(m, self.tried.get(m.line), self.tried.get(m)) for m in models]
-        tasks = [partial(judged, self.task, folds, *of, number, rung, until) for of in known]
+        ends = [until if k or self.tried else replace(until, at=math.inf) for k in range(len(known))]
+        tasks = [partial(judged, self.task, folds, *of, number, rung, end) for of, end in zip(known, ends, strict=True)]
         self.late.update(models)
         for tried in children.workers(self.jobs, tasks, in_order=False):
             if tried is children.DIED:
@@ -474,7 +493,7 @@ class Halving:
             if (sound or left <= 0) and any(not now.grows for now, *_ in found):
                 break
             share = left if sound else left / (len(best) - done)
-            share = math.inf if tried.model.form.linear else share  # as `best_linear` has it
+            share = max(share, ENDING * self.seconds) if tried.model.form.linear else share
             fit, start = self.complete(tried, share), starts[tried.model]
             now = self.stands(tried.model, fit.network)
             if (odd := self.odd(tried, fit.network, line)) is not None:
