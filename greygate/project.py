@@ -297,7 +297,8 @@ def synthesize_project(
     """Find the resources of each architecture by Yosys (and nextpnr), and add them to resources.json.
 
     clock_rate, mhz, limit: as for `greygate.hardware.synthesis.synthesize`; a design that takes longer than the limit
-    has the result {"stopped_after_s": limit}. With a clock rate come the clocks and the microseconds of a step.
+    has the result {"stopped_after_s": limit}. With a clock rate come the clocks and the microseconds of a step; always,
+    what the figures are bought with: bits of the widest input or output, and weights that are not zero.
     keep: store them in the package too; this raises InputError for a program that is not of the catalogue.
 
     >>> sorted(synthesize(project, "ice40"))
@@ -306,20 +307,22 @@ def synthesize_project(
     name = project.source.name
     if keep and (name not in CATALOG or project.source.recordings):
         raise InputError(f"{project.folder}: only resources of a network of the catalogue are kept, not of {name}")
-    found = project.resources or {}
+    found, program = project.resources or {}, project.program
+    edges = max(p.signal.fix.width for p in (*program.inputs, *program.outputs))
+    terms = {"edge_bits": edges, "weights": size(program)["multiplications"]}
     with writing(project.folder), locked(project.folder.resolve()):
         if edited := project.edited():
             raise InputError(f"{edited[0]}: is not the Verilog of program.json; compile again")
         for architecture in reversed(project.designs):
             folder, told = project.folder / "rtl" / architecture, titled(progress, architecture)
-            counts = synthesize(folder, project.program.name, target, clock_rate, limit, mhz, told)
+            counts = synthesize(folder, program.name, target, clock_rate, limit, mhz, told)
             if mhz_reached := counts.get("clock_mhz"):
                 clocks = clocks_per_step(project, architecture, told)
                 counts |= {"clocks": clocks, "us_per_step": clocks / mhz_reached}
-            found[f"{architecture}, {target}"] = counts
+            found[f"{architecture}, {target}"] = counts | terms
         _write_json(project.folder / "resources.json", found)
     if keep:
-        _write_json(kept_file(name), {"size": size(project.program), "resources": found})
+        _write_json(kept_file(name), {"size": size(program), "resources": found})
     return found
 
 

@@ -29,7 +29,7 @@ Resources = Annotated[
     dict[str, dict[str, Figure]],
     Json(minProperties=1),
     '"ARCHITECTURE, TARGET" -> figures: luts, flip_flops, dsps, block_rams, lut_rams, fits, clock_mhz, clocks, '
-    "us_per_step, meets, or stopped_after_s.",
+    "us_per_step, meets, edge_bits, weights, or stopped_after_s.",
 ]
 
 

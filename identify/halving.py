@@ -299,7 +299,7 @@ class Halving:
         self.fitted([t.model for t in self.ranked()[:LEADING] if np.isfinite(t.error)], LADDER.until)
 
     def fitted(self, models: Sequence[Model], until: float) -> None:
-        """Fit linear models to their free run; for the first ones networks wait, which are worth what they grow from."""
+        """Fit linear models to their free run; networks wait for the first ones, from which they grow."""
         self.rung(0, replace(LADDER, until=max(until, RUNGS[0].until)), models[: self.jobs])
         self.rung(0, replace(LADDER, until=until), models[self.jobs :])
 

@@ -5,6 +5,7 @@ from typing import TypedDict
 
 import numpy as np
 from scipy.signal import welch
+from scipy.stats import f
 
 from greygate.errors import InputError
 from greygate.plain import Count
@@ -19,6 +20,11 @@ DRIFT = 1.0  # deviations that a signal's mean may move between the first and th
 LONGEST = 50  # samples of delay that are looked for
 UNSEEN = "does not visibly answer"
 STRIDE = 10.0  # samples in a period of the bandwidth that taps should have
+SPIKE = 5.0  # times what 99 % of samples move, from which one that goes and comes back is no motion
+TAPS, AHEAD = 8, 4  # samples before and after, by which an input's later values are asked for what they tell
+SPARE = 10  # samples for each of them
+TOLD, CHANCE = 0.03, 1e-6  # share of what is left that they tell, and its probability by chance
+TINY = np.finfo(float).tiny
 
 
 class Channel(TypedDict):
@@ -53,6 +59,17 @@ def look(recording: Recording, inputs: Sequence[str], output: str) -> Seen:
     for name, delay in delays.items():
         if delay is None and _longest(recording) > 0:
             remarks.append(f"{output} {UNSEEN} {name}: it may be slow, or {name} without effect")
+        if _answers(recording[name], recording[output]):
+            remarks.append(
+                f"later values of {name} tell of {output}: a controller drives it, or their clocks are apart; "
+                f"a disturbance of {output} then acts through {name}, unless its reference moves it more"
+            )
+    if (spikes := _spikes(recording[output])).size:
+        times = ", ".join(f"{k * recording.dt:g} s" for k in spikes[:3]) + ", ..." * (len(spikes) > 3)
+        remarks.append(
+            f"{output} jumps and comes back in {len(spikes)} sample{'s' * (len(spikes) > 1)} ({times}): "
+            "look whether its sensor failed"
+        )
     return {
         "samples": recording.samples,
         "dt": recording.dt,
@@ -98,6 +115,34 @@ def _delay(recording: Recording, source: str, target: str) -> int | None:
         return estimated_delay(recording, source, target, _longest(recording), onset=True)
     except InputError:
         return None
+
+
+def _answers(u: np.ndarray, y: np.ndarray) -> bool:
+    """Whether later values of an input tell of an output what its past and the input's do not (F test)."""
+    at = np.arange(TAPS, len(y) - AHEAD)
+    if len(at) < SPARE * (2 * TAPS + AHEAD) or not np.ptp(u) * np.ptp(y):
+        return False
+    past = [y[at - k] for k in range(1, TAPS + 1)] + [u[at - k] for k in range(TAPS + 1)]
+    later = [u[at + k] for k in range(1, AHEAD + 1)]
+    without, with_them = (_unexplained(y[at], np.column_stack(of)) for of in (past, past + later))
+    if without <= 0 or 1 - with_them / without < TOLD:
+        return False
+    free = len(at) - len(past) - AHEAD - 1
+    return float(f.sf((without - with_them) / AHEAD / max(with_them / free, TINY), AHEAD, free)) < CHANCE
+
+
+def _unexplained(y: np.ndarray, by: np.ndarray) -> float:
+    """Squared error that least squares leave."""
+    by = np.column_stack([(by - by.mean(0)) / np.maximum(by.std(0), TINY), np.ones(len(y))])
+    return float(np.sum((y - by @ np.linalg.lstsq(by, y, rcond=1e-10)[0]) ** 2))
+
+
+def _spikes(y: np.ndarray) -> np.ndarray:
+    """Samples that stand far from both of their neighbours, on one side."""
+    moved = np.diff(y)
+    away = np.where(moved[:-1] * moved[1:] < 0, np.minimum(abs(moved[:-1]), abs(moved[1:])), 0.0)
+    usual = float(np.quantile(np.abs(moved), 0.99)) if len(moved) else 0.0
+    return 1 + np.flatnonzero(away > SPIKE * usual) if usual else np.zeros(0, int)
 
 
 def _longest(recording: Recording) -> int:

@@ -200,6 +200,31 @@ def test_a_sensor_that_stands_at_either_end_of_its_range_is_remarked_on(side):
     assert any(remark.startswith("y stands at an end of its range in") for remark in remarks)
 
 
+@pytest.mark.parametrize("gain", [0.0, 2.0])
+def test_a_controller_that_drives_the_input_is_remarked_on(gain):
+    rng = np.random.default_rng(1)
+    u, y, x = np.zeros(1000), np.zeros(1000), 0.0
+    for k, reference in enumerate(rng.normal(size=1000)):
+        y[k] = x + 0.1 * rng.normal()
+        u[k] = 0.3 * reference - gain * y[k - 1]
+        x = 0.9 * x + 0.3 * u[k]
+    remarks = look(Recording(0.1, {"u": u, "y": y}, {"u": "V", "y": "m"}), ["u"], "y")["remarks"]
+    assert any(remark.startswith("later values of u tell of y: a controller") for remark in remarks) == bool(gain)
+
+
+def test_a_sample_that_jumps_is_remarked_on_and_a_pulse_is_not():
+    recording = recorded(3)
+    y = recording["y"].copy()
+    y[40] += 4 * np.ptp(y)
+    cut = {"u": recording["u"], "y": y}
+    (told,) = (r for r in look(replace(recording, channels=cut), ["u"], "y")["remarks"] if "jumps" in r)
+    assert "in 1 sample (4 s)" in told
+    pulses = np.where(np.arange(len(y)) % 10 == 0, 1.0, 0.0)  # every tenth sample: so it is
+    for of in (recording["y"], pulses):
+        seen = look(replace(recording, channels={"u": recording["u"], "y": of}), ["u"], "y")
+        assert not [r for r in seen["remarks"] if "jumps" in r]
+
+
 def test_the_command_writes_a_network_that_validates_and_compiles(short, greygate, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for seed in (1, 2):
