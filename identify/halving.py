@@ -271,11 +271,9 @@ class Halving:
             self.loaded = min(self.clock.spent(), self.seconds / 2)
 
     def run(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
-        """Try the linear models and what grows from them. Raises InputError if no linear model was finished."""
+        """Try the linear models and what grows from them. Raises InputError if every linear model diverges."""
         self.load()
         self.linear_models(delays, strides)
-        if not self.tried:
-            raise InputError("no linear model was finished in time; give more --seconds")
         if self.drifts() and (self.used() < NOISES.until or not self.lines()):
             self.lengthen([t.model for t in self.ranked()], strides, delays)
         self.rung(0, NOISES, self.noises())
@@ -368,7 +366,7 @@ class Halving:
         for tried in self.lines():
             found.setdefault(replace(tried.model.orders, delays=()), tried)
         if not found:
-            raise InputError("no linear model was finished in time, or every one diverges; give more --seconds")
+            raise InputError("every linear model that was tried diverges; give more --seconds")
         return list(found.values())[:BASES]
 
     def grown_from(self) -> list[Orders]:

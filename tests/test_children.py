@@ -66,7 +66,7 @@ def test_a_strangers_folder_runs_nothing(words, given, strange):
         built = called(strange, *made.split())
         assert built.returncode == 0, built.stderr
     done = called(strange, *words.format(given=given).split())
-    assert done.returncode in (0, 1) or "was finished in time" in done.stderr, done.stderr
+    assert done.returncode in (0, 1), done.stderr
     assert not (strange.parent / "ran").exists()
 
 
