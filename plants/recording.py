@@ -19,6 +19,7 @@ UNITS = {
 }  # fmt: skip
 """Unit suffix of a CSV column name -> unit."""
 
+NEWTONS = ("N", "kN", "mN")  # before a length or a time they may be a factor of the unit, or end a name
 MOST_PARTS = 4  # of a suffix, between its `_`
 _SUFFIX = {unit: suffix for suffix, unit in reversed(UNITS.items())}
 _UNIFORM = 1e-3  # of a sample interval: largest error of a printed time
@@ -204,11 +205,20 @@ def _split(path: Path, column: str, units: Mapping[str, str], bare: bool = False
     parts = column.split("_")
     for start in range(max(1, len(parts) - MOST_PARTS), len(parts)):
         if (suffix := "_".join(parts[start:])) in UNITS and (name := "_".join(parts[:start])):
+            unambiguous(column, name, UNITS[suffix], str(path))
             return name, UNITS[suffix]
     if bare:
         return column, "1"
     problem = f"unit {parts[-1]!r} is unknown" if all(parts) and len(parts) > 1 else "has no name or no unit"
     raise InputError(f"{path}: column {column}: {problem}; end its name in one of _{', _'.join(UNITS)}")
+
+
+def unambiguous(column: str, name: str, unit: str, where: str) -> None:
+    """Refuse `torque_N_m`, which is no `torque_N` in m. Raises InputError."""
+    before, _, last = name.rpartition("_")
+    if before and last in NEWTONS and unit in ("m", "mm", "cm", "s"):
+        written = f"{before} [{last} {unit}], {before} [{last}/{unit}] or {name} [{unit}]"
+        raise InputError(f"{where}: column {column}: is it {name} in {unit}, or in {last} {unit}? write {written}")
 
 
 def _step(table: CsvTable) -> float:

@@ -267,3 +267,16 @@ def test_a_sign_that_numbers_channels_is_no_second_unit(header, read):
             split(header, "a.csv")
     else:
         assert split(header, "a.csv") == read
+
+
+def test_a_force_before_a_length_is_asked_after_and_is_no_name(tmp_path):
+    path = tmp_path / "a.csv"
+    for suffix in ("N_m", "kN_m", "N_mm"):
+        rows = f"t_s,x_{suffix},y_m\n0,1,1\n1,2,3\n"
+        path.write_text(rows)
+        for given in (path, {"t": [0.0, 1.0], f"x_{suffix}": [0.0, 1.0]}):
+            with pytest.raises(InputError, match=r"write x \[k?N mm?\], x \[k?N/mm?\] or x_k?N \[mm?\]"):
+                read_recording(given)
+    assert split("x_N_m [N/m]", "a.csv") == ("x_N_m", "N/m")
+    assert split("N_m", "a.csv") == ("N", "m")
+    assert split("share_ppm", "a.csv") == ("share", "ppm")

@@ -13,7 +13,7 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.names import LONGEST_UNIT
-from greygate.plants.recording import MOST_PARTS, UNITS
+from greygate.plants.recording import MOST_PARTS, UNITS, unambiguous
 from greygate.plants.units.quantities import (
     FORCE,
     NAMES,
@@ -79,6 +79,7 @@ def split(header: str, where: str) -> tuple[str, str | None]:
                 )
             return _name(inner if beside is not None else groups["name"]), unit
     name, unit = suffixed(header)
+    unambiguous(header, name, unit or "", where)
     return _name(name), unit
 
 
