@@ -46,7 +46,7 @@ from greygate.mismatch.search import WITHIN, Hypothesis, Search
 from greygate.mismatch.selection import EVIDENCE, PART, STRUCTURE, Found, Selection, shown_noise
 from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.stretches import pieces, stretches
-from greygate.mismatch.verdict import Verdict
+from greygate.mismatch.verdict import LEAST_SURE, Verdict
 from greygate.mismatch.words import lines
 from greygate.plants.expressions import names
 from greygate.plants.plant import Plant
@@ -60,7 +60,6 @@ ALIKE = 0.95  # of what can be explained: a name that takes so much is not repla
 CLOSED = PART  # of the misfit, that a fitted term must take, as a name must: what takes less does harm elsewhere
 NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
 OPEN_VERDICTS = Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED
-LEAST_SURE = 0.5  # of confidence in a name, below which something else is likelier
 LED_BACK = 4  # iterations: each leads a numbers' prior all the way where the run is linear
 MORE_OF_IT = 3  # times as much of a recording as before is searched, where what was searched hides something
 GRACE = 0.2  # of the time that there was: so much longer the gates may take that a claim passes
@@ -122,7 +121,7 @@ def diagnose(
     not_shown |= {name: why for name, why in table.unmet(rig, recording).items() if name not in offered}
     progress("calibrating")
     result = _diagnosed(search, progress)
-    result.not_shown, result.words, result.told = not_shown, lines, rig.stated
+    result.not_shown, result.words, result.told = not_shown, lines, rig.stated and not rig.heard
     if result.verdict == Verdict.MISSING_PHYSICS and _faults(search, result.best):
         result.verdict = Verdict.RECORDING_FAULT
     if result.verdict == Verdict.CONSISTENT and not search.left_out("how large what is not there may be"):
@@ -201,11 +200,16 @@ class State:
 
 
 def _diagnosed(search: Search, progress: Progress) -> Diagnosis:
-    """Explain with the noise that was told, if any, and once more where the recording shows another."""
-    found = _explained(search, progress)
-    if not search.budget.over and search.moved_between(found.corrected, iterations=REFIT):
+    """Explain with the noise that was told, if any, and once more where the recording shows another.
+
+    Where it does, what is left beside names may be that noise: no equation is looked for before.
+    """
+    state = _gated(search, progress)
+    if not search.budget.over and search.moved_between(state.found.fit, iterations=REFIT):
         progress("searching again: inputs moved between the samples")
-        found = _explained(search, progress)
+        state = _gated(search, progress)
+    waits = state.verdict == Verdict.PARTLY_EXPLAINED and _other(shown_noise(state.found.fit))
+    found = _diagnosis(state if waits else _ended(state))
     noise = shown_noise(found.corrected)
     if noise is None or noise.as_told:
         return replace(found, noise=noise)
@@ -223,11 +227,21 @@ def _diagnosed(search: Search, progress: Progress) -> Diagnosis:
         if not before.swollen:
             return replace(again, noise=noise)
     search.under(Noise.told(len(search.rig.predict)))
-    return replace(found, noise=shown)
+    return replace(_diagnosis(_ended(state)) if waits else found, noise=shown)
+
+
+def _other(noise: Noise | None) -> bool:
+    """Whether it is a sensor's, and another than was told."""
+    return noise is not None and not noise.as_told and not noise.swollen
 
 
 def _explained(search: Search, progress: Progress) -> Diagnosis:
     """The steps of a diagnosis, once, with the noise that the search has now."""
+    return _diagnosis(_ended(_gated(search, progress)))
+
+
+def _gated(search: Search, progress: Progress) -> State:
+    """The names that the gates leave."""
     search.within = WITHIN
     with search.budget.searching():
         selection, found = _searched(search, progress)
@@ -235,10 +249,17 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
         with search.budget.held(GRACE):
             state = _confident(_claimed(_supported(search, selection, found, progress)))
     except OutOfTime:
-        return _diagnosis(_unmoved(_judged(_untested(search, selection, progress))))
-    for step in (_regained, _spared, _lasting, _led_back, _closed, _held_out):
+        return _unmoved(_judged(_untested(search, selection, progress)))
+    for step in (_regained, _spared, _lasting, _led_back):
         state = _in_time(step, state)
-    return _diagnosis(state)
+    return state
+
+
+def _ended(state: State) -> State:
+    """With an equation for what is left, and without what spoils a held-out recording."""
+    for step in (_closed, _held_out):
+        state = _in_time(step, state)
+    return state
 
 
 def _in_time(step: Callable[[State], State], state: State) -> State:
@@ -259,6 +280,7 @@ def _diagnosis(state: State) -> Diagnosis:
         state.search.rig, state.verdict, found.best, claims.calibrated, found.fit, selection.rivals(found),
         selection.structure(found.fit), state.explained, state.search, state.unknown, left=state.unlike or state.left,
         refused=claims.refused, evidence=claims.evidence, shares=claims.shares, only_with=claims.only_with,
+        only_like=bool(state.unlike),
     )  # fmt: skip
 
 

@@ -33,6 +33,7 @@ from greygate.plants.plant import Parameter
 SCHEMA = "diagnosis/2"
 READ = (SCHEMA, "diagnosis/1")  # that can be simulated: the second adds to the first
 OPEN = 0.9  # of confidence in a name that is `_doubtful`
+LIKE = 2 / 3  # of confidence in a curve where one that is like it acts: of six such on rigs with a truth one was right
 DETAIL = 3e-3  # of a misfit: two explanations that differ by less may do so because no model is exact
 ELSE = 0.01  # weight of something that no table has, beside a name whose fit leaves nothing: machines are many
 FURTHER = 2.0  # times an error, beyond which a recording's own chance does not make it
@@ -53,7 +54,8 @@ class Diagnosis:
     the share of the calibrated plant's squared error that it takes. only_with: by key, what it explains nothing
     without, as that without it. not_shown: key of an effect that the recording cannot show, and that was therefore not
     tried -> why. not_larger_than: of a consistent recording, what it rules out. alone: where several recordings are
-    unexplained together, what each says alone (verdict, effects). words: the lines that are printed of it.
+    unexplained together, what each says alone (verdict, effects). only_like: whether in the place of a curve that is
+    claimed one acts that is like it. words: the lines that are printed of it.
     """
 
     rig: Rig
@@ -78,6 +80,7 @@ class Diagnosis:
     not_larger_than: list[dict] = field(default_factory=list)
     alone: dict[str, dict] = field(default_factory=dict)
     told: bool = True
+    only_like: bool = False
     words: Callable[["Diagnosis"], Iterable[str]] = lambda found: (f"<Diagnosis {found.rig.title}: {found.verdict}>",)
 
     def __str__(self) -> str:
@@ -216,6 +219,7 @@ class Diagnosis:
         sure = float(1.0 / (1.0 + others + nothing + ELSE))
         if self.verdict == Verdict.PARTLY_EXPLAINED:
             sure *= min(max(self.explained, 0.0), 1.0)
+        sure *= LIKE if self.only_like and self.search.effects[key].smooth else 1.0
         return sure * (OPEN if self._doubtful(key) else 1.0)
 
     @cached_property
@@ -275,7 +279,7 @@ class Diagnosis:
         usual = np.median(told[np.isfinite(told).all(axis=1)], axis=0)
         return {
             name: {
-                "told": rig.channels[name].sigma if self.told else None,
+                "told": rig.channels[name].sigma if (self.told or rig.heard) and not rig.channels[name].heard else None,
                 "found": float(f"{size:.{PLACES}g}"),
                 "unit": rig.channels[name].unit,
                 "memory": len(ar),

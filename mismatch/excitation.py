@@ -198,7 +198,8 @@ def _why(action: Action) -> str:
     for name, signal in action.moved.items():
         if np.ptp(signal) == 0.0:
             return f"{name} never moves"
-        if np.min(signal) >= 0.0 or np.max(signal) <= 0.0:
+        nearest = float(np.min(np.abs(signal)))
+        if (np.min(signal) >= 0.0 or np.max(signal) <= 0.0) and np.ptp(signal) > nearest:  # a temperature has no sign
             return f"{name} never changes its sign"
     return f"along this recording a gain or an offset of {', '.join(action.moved) or action.name} does the same"
 

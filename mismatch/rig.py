@@ -47,6 +47,7 @@ class Channel:
 
     resolution: the quantum of its converter; noise: the RMS of its white noise; both in `unit`, 0 where not stated.
     hold: between two samples an input keeps its value (step), or goes straight to the next (linear).
+    heard: whether nobody stated the noise, and the recording shows it.
     """
 
     unit: str
@@ -54,6 +55,7 @@ class Channel:
     resolution: float = 0.0
     noise: float = 0.0
     hold: str = STEP
+    heard: bool = False
 
     @property
     def sigma(self) -> float:
@@ -114,6 +116,11 @@ class Rig:
     def stated(self) -> bool:
         """Whether rig.toml states the noise of every predicted channel; if not, it is fitted along with the plant."""
         return all(self.channels[name].sigma > 0 for name in self.predict)
+
+    @property
+    def heard(self) -> bool:
+        """Whether a noise that nobody stated was taken from the recording."""
+        return any(channel.heard for channel in self.channels.values())
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -391,7 +398,7 @@ def _heard(rig: Rig) -> Rig:
         if not channels[name].sigma:
             sizes = [(noise(run[name]), run.samples) for run in recording.runs]
             size = sizes[0][0] if len(sizes) == 1 else np.sqrt(sum(s**2 * n for s, n in sizes) / recording.samples)
-            channels[name] = replace(channels[name], noise=float(size))
+            channels[name] = replace(channels[name], noise=float(size), heard=True)
     return replace(rig, channels=channels)
 
 

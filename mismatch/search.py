@@ -516,8 +516,8 @@ class Search:
 
     @property
     def leads(self) -> bool:
-        """Whether a fit may be led from the data sheet: a free run, of a plant whose runs are cheap."""
-        return not self.rig.window and self.rig.plant.outside is None
+        """Whether a fit may be led from the data sheet: of a plant whose runs are cheap."""
+        return self.rig.plant.outside is None
 
     def lost(self, fit: Fit) -> bool:
         """Whether a free run does not follow the recording: a channel errs by three tenths of what it moves."""
@@ -534,8 +534,11 @@ class Search:
         return min(fit, self._led(fit, LED, ROUGHLY, **how), key=lambda f: float(np.sum(_astray(f))))
 
     def from_the_sheet(self, fit: Fit) -> Fit:
-        """A fit of the same that is led from the data sheet, where an effect does nothing."""
-        return self._led(fit, EARLIER)
+        """A fit of the same that is led from the data sheet, where an effect does nothing.
+
+        In windows, each of which begins anew, it goes on from where that ends.
+        """
+        return self._led(fit, (1.0,) if self.rig.window else EARLIER)
 
     def _led(self, fit: Fit, shares: Sequence[float], way: Mapping = ALL, **how) -> Fit:
         """A fit of the same from the data sheet, and from the recording's beginning to its end.

@@ -43,6 +43,7 @@ EXCHANGED, ROUNDS = 4, 3  # hypotheses that are fitted in the place of an effect
 KEPT = 0.5  # of the gain that the scores promise, of which a fit that saves less may be in a local minimum
 PROMISING = 0.5  # of the gain that the scores promise of what is there, which they must promise of another
 OWN = 0.05  # of what can be explained: a second effect must explain that much where the fit is not complete,
+BESIDE = 2  # others, of which that is tried beside the first effect
 PART = 0.5  # of what can be explained: an effect that explains so much is named beside what is left
 PAIR = 0.5  # or so much of what the first effect leaves
 LEAST = 5e-3  # of what can be explained: an effect must explain that much beside one that acts by acceleration,
@@ -215,11 +216,16 @@ class Selection:
     def from_the_sheet(self, best: Hypothesis, fit: Fit) -> tuple[Hypothesis, Fit]:
         """A first effect in the form, and with the fit, that is best led from the data sheet, where something is left.
 
-        What was calibrated without it makes up for it, and what sticks has a valley for each place where it may.
+        What was calibrated without it makes up for it, and what sticks has a valley for each place where it may. Of
+        others that explain most, too: the form of one that is right may do so by far more.
         """
         if best.size != 1 or not best.effects or complete(fit) or not self.search.leads:
             return best, fit
-        for other in [best, *(form for form, _ in forms(self.search, best, fit.values))]:
+        singles = {h: f for h, f in self.fits.items() if h.size == 1 and h.effects and self.share(f) >= PART}
+        near = [best, *sorted(singles.keys() - {best}, key=lambda h: singles[h].cost)[:BESIDE]]
+        own = [] if self.search.rig.window else near  # in windows, that begin where they were, no valley is far
+        rich = [form for h in near for form, _ in forms(self.search, h, fit.values)]
+        for other in dict.fromkeys([*own, *rich]):
             if self.search.skips(other) or complete(fit):
                 continue
             self.progress(f"fitting {other} from the beginning on")

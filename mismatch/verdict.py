@@ -3,6 +3,9 @@
 from enum import StrEnum
 
 
+LEAST_SURE = 0.5  # of confidence in a name, below which something else is likelier
+
+
 class Verdict(StrEnum):
     """A verdict; its value is the string in `diagnosis.json`, `words` is what a person reads.
 

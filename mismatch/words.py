@@ -9,7 +9,7 @@ from greygate.mismatch.experiments.separation import separations
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.selection import APART
-from greygate.mismatch.verdict import Verdict
+from greygate.mismatch.verdict import LEAST_SURE, Verdict
 from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter
 
@@ -125,6 +125,8 @@ def sentence(found: Mapping) -> str:
     verdict, left = Verdict(found["verdict"]), found.get("not_tried", ())
     if verdict == Verdict.UNEXPLAINED and any(not what.endswith(ALONE) for what in left):
         return "unexplained: something is missing, and there was no time to try every effect: give more --seconds"
+    if verdict == Verdict.RECORDING_FAULT and max(e["confidence"] for e in found["effects"]) < LEAST_SURE:
+        return "recording fault: what is named here may be a fault of the recording, or of the simulation"
     return verdict.words
 
 

@@ -4,6 +4,7 @@ Between its points a curve is straight, beyond its ends it stays as it is. It is
 is an expression like any other.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from greygate.plants.expressions import check_expression
 from greygate.plants.table import read_table
 
 HINGES = 20  # in a term, which then has some 2000 characters
+CURVE = re.compile(r"curve_\d+")  # a term of a curve
 MOST = 1000  # points: 50 terms, each compiled
 
 

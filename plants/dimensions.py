@@ -6,6 +6,7 @@ from functools import cache
 from math import prod
 
 from greygate.plants import units
+from greygate.plants.curves import CURVE
 from greygate.plants.expressions import names
 from greygate.plants.plant import Plant
 from greygate.plants.units.quantities import Quantity, quantity
@@ -21,7 +22,7 @@ Dimension = Mapping[str, float]
 def clashes(plant: Plant) -> list[str]:
     """One sentence for each equation or definition in which two terms, or a term and the left side, do not agree.
 
-    A term that is a mere number, or whose unit is not known, is left out.
+    A term that is a mere number, or whose unit is not known, is left out, as are those of a measured curve.
     """
     known = {symbol: plant.unit(symbol) for symbol in plant.symbols}
     out = []
@@ -36,7 +37,8 @@ def clashes(plant: Plant) -> list[str]:
         out += _clash(name, {"left side": left, **_of_terms(equation.terms, known)})
     for name, definition in plant.definitions.items():
         left = units.powers(definition.unit)
-        out += _clash(name, {"left side": left, **_of_terms(definition.terms, known)})
+        terms = {term: text for term, text in definition.terms.items() if not CURVE.fullmatch(term)}
+        out += _clash(name, {"left side": left, **_of_terms(terms, known)})
     return out
 
 
