@@ -32,6 +32,7 @@ GLITCHES = 2e-3  # of all samples: so many of the largest values count as glitch
 REACHES = (0.03, 0.1, 0.3)  # of a signal's largest size: widths and ends at which an effect is tried beforehand
 TAKEN_UP = 0.999  # of its width: where a play stands before that, nobody knows
 LATE = 5.0  # samples: a delay or a lag that is tried
+KELVIN = "K"  # a temperature changes no sign
 FARTHEST = 10.0  # times a signal's largest size, beyond which nothing offsets it
 ROUND = (-1.0, 1.0, 801)  # first and last level and samples of a signal that passes every level and turns
 RATES = ("rate", "smooth_rate")  # ways in which an input is derived that make a velocity
@@ -181,7 +182,7 @@ def _reason(
 ) -> str:
     turning = np.concatenate([np.linspace(*ROUND), np.linspace(*ROUND)[::-1]] * 2)
     ideal = {name: turning * FARTHEST * max(usual_size(s), TINY) for name, s in given.items()}
-    found = ""
+    found, units = "", {name: channel.unit for name, channel in rig.channels.items()}
     whole = [slice(0, len(turning))]
     pairs = zip(_actions(effect, rig, given, values, cut), _actions(effect, rig, ideal, values, whole), strict=True)
     for here, there in pairs:
@@ -190,16 +191,15 @@ def _reason(
         if here.bent:
             return ""
         if there.bent:
-            found = found or _why(here)
+            found = found or _why(here, units)
     return found
 
 
-def _why(action: Action) -> str:
+def _why(action: Action, units: Mapping[str, str]) -> str:
     for name, signal in action.moved.items():
         if np.ptp(signal) == 0.0:
             return f"{name} never moves"
-        nearest = float(np.min(np.abs(signal)))
-        if (np.min(signal) >= 0.0 or np.max(signal) <= 0.0) and np.ptp(signal) > nearest:  # a temperature has no sign
+        if (np.min(signal) >= 0.0 or np.max(signal) <= 0.0) and units.get(name) != KELVIN:
             return f"{name} never changes its sign"
     return f"along this recording a gain or an offset of {', '.join(action.moved) or action.name} does the same"
 

@@ -16,6 +16,12 @@ from greygate.mismatch.verdict import Verdict
 DRUM = 3  # seed
 
 
+@pytest.mark.parametrize(("confidence", "said"), [(0.498, "may be a fault of the recording"), (0.6, "is at fault")])
+def test_a_fault_of_the_recording_is_said_to_be_one_where_it_is_likelier_than_not(confidence, said):
+    effects = [{"id": "sensor_offset", "confidence": confidence}]
+    assert said in words.sentence({"verdict": "recording_fault", "effects": effects})
+
+
 @pytest.mark.parametrize("verdict", Verdict)
 def test_a_verdict_is_the_string_of_the_file_and_its_words_begin_with_its_name(verdict):
     assert json.loads(json.dumps({"verdict": verdict})) == {"verdict": verdict.value}

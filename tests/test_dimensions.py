@@ -44,6 +44,14 @@ def test_an_angle_has_no_dimension(tmp_path):
     assert clashes(Plant.read(tmp_path / "mass.toml")) == []
 
 
+def test_a_measured_curve_has_the_unit_of_its_definition(tmp_path):
+    (tmp_path / "pull.csv").write_text("x_mm,f_N\n0,0\n1,3\n2,4\n")
+    pull = '[definitions]\ncurve.pull = { unit = "N", table = { file = "pull.csv", of = "x" } }\n'
+    text = MASS.format(**RIGHT).replace("[equations]", f"{pull}[equations]")
+    (tmp_path / "mass.toml").write_text(text)
+    assert clashes(Plant.read(tmp_path / "mass.toml")) == []
+
+
 @pytest.mark.parametrize(
     ("expression", "unit"),
     [

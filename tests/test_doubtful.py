@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greygate.mismatch import claims, coloured
+from greygate.mismatch import claims, coloured, excitation
 from greygate.mismatch import diagnose as finding
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
@@ -66,6 +66,14 @@ def test_what_another_signal_adds_to_a_reading_is_no_gain_of_that_reading():
     x, drive = np.sin(np.linspace(0.0, 40.0, 2000)), np.cos(np.linspace(0.0, 90.0, 2000))
     assert Action("x", {"drive": drive}, 0.3 * drive + 0.1).bent
     assert not Action("x", {"x": x}, 0.3 * x + 0.1).bent
+
+
+@pytest.mark.parametrize(
+    ("unit", "why"), [("K", "a gain or an offset of t does the same"), ("m", "never changes its sign")]
+)
+def test_a_temperature_is_not_said_to_change_no_sign(unit, why):
+    t = 290.0 + np.sin(np.linspace(0.0, 9.0, 100))
+    assert why in excitation._why(Action("t", {"t": t}, 0.3 * t), {"t": unit})
 
 
 @pytest.mark.parametrize("size", [1e3, 1e7])
@@ -151,6 +159,15 @@ def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_ne
         _remaining=lambda: "", _rough=leaves == "_rough", _other_noise=leaves == "_other_noise",
     )  # fmt: skip
     assert Diagnosis._doubtful(said, "a") is doubted
+
+
+@pytest.mark.parametrize(("smooth", "like", "sure"), [(True, True, 0.66), (True, False, 0.99), (False, True, 0.99)])
+def test_a_curve_is_never_sure_where_one_that_is_like_it_acts(smooth, like, sure):
+    said = SimpleNamespace(
+        search=SimpleNamespace(effects={"a": SimpleNamespace(smooth=smooth)}), evidence={}, only_like=like,
+        verdict=Verdict.PARTLY_EXPLAINED, explained=1.0, _detail=lambda key: 0.0, _doubtful=lambda key: False,
+    )  # fmt: skip
+    assert Diagnosis._confidence(said, "a", {}) == pytest.approx(sure, abs=0.001)
 
 
 @pytest.mark.parametrize(("expected", "left", "rough"), [(0.0, 0.05, True), (0.0, 0.012, False), (900.0, 0.05, False)])

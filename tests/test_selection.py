@@ -56,6 +56,28 @@ def test_an_effect_is_taken_for_its_evidence_and_for_blocks_it_did_not_learn_fro
     assert best == (DRIFT if taken else NOTHING)
 
 
+@pytest.mark.parametrize(("cost", "window", "tried"), [
+    (400.0, 100, [("settling",)]), (600.0, 100, []), (400.0, None, [("slip",), ("drift",), ("settling",)]),
+    (600.0, None, [("slip",)]),
+], ids=["near, in windows", "far, in windows", "near", "far"])  # fmt: skip
+def test_the_forms_of_what_explains_half_are_led_from_the_data_sheet_beside_the_first(
+    chosen, monkeypatch, cost, window, tried
+):
+    """cost: of `drift`, another form of which leaves next to nothing."""
+    search, began = chosen.search, []
+    search.rig, search.leads = SimpleNamespace(window=window), True
+    search.fit = lambda likelihood, hypothesis, values, **options: began.append(hypothesis.effects) or fit(900.0)
+    search.from_the_sheet = lambda begun: fit(10.0 if began[-1:] == [("settling",)] else 900.0)
+    monkeypatch.setattr(selection, "possible", lambda *given: True)
+    monkeypatch.setattr(chosen, "share", lambda fit: 1 - fit.cost / 1000.0)
+    chosen.add(DRIFT, fit(cost))
+    asked = []
+    monkeypatch.setattr(chosen, "progress", asked.append)
+    best, found = chosen.from_the_sheet(SLIP, fit(300.0))
+    assert asked == [f"fitting {Hypothesis(effects)} from the beginning on" for effects in tried]
+    assert (best.effects, found.cost) == ((("settling",), 10.0) if ("settling",) in tried else (("slip",), 300.0))
+
+
 @pytest.mark.parametrize(
     ("cost", "held", "taken"), [(100.0, 900.0, True), (100.0, 1100.0, False), (1000.0 - EVIDENCE + 1, 900.0, False)]
 )
