@@ -2,7 +2,6 @@
 
 from enum import StrEnum
 
-
 LEAST_SURE = 0.5  # of confidence in a name, below which something else is likelier
 
 
