@@ -84,6 +84,20 @@ def test_the_module_itself_and_the_random_numbers_are_left_as_they_were():
     assert (module.calls, module.n.item(), module.n.dtype, module.training) == (0, 0.0, torch.float32, True)
 
 
+def test_a_module_that_has_the_name_of_a_recurrent_layer_is_none():
+    class LSTM(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.cell = nn.LSTMCell(1, 2)
+
+        def forward(self, x, h, c):
+            h, c = self.cell(x, (h, c))
+            return h[:1], h, c
+
+    network = from_torch(LSTM(), ["u"], ["y"], (np.zeros(2), np.zeros(2)))
+    assert np.ptp(network.run({"u": np.linspace(-1.0, 1.0, 9)})["y"]) > 1e-4
+
+
 def test_a_buffer_that_a_step_changes_starts_at_its_value():
     module = On(lambda s, x: (s.n.add_(1), s.n * x)[1])
     module.register_buffer("n", torch.tensor([5.0]))

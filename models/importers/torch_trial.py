@@ -19,7 +19,6 @@ from greygate.progress import once
 if TYPE_CHECKING:
     import torch
 
-SEQUENCES = ("RNN", "GRU", "LSTM")
 STEPS = 10  # that the network and the module take side by side
 AGREED = 1e-9  # of the largest that an output is: float64 keeps 16 digits, a cancellation may take some
 SILENT = 1e-12  # of a port's scale: an output that is no larger is 0
@@ -115,9 +114,9 @@ class Trial:
 
         self.module, self.builder, self.starts = module, builder, list(starts)
         self.kind = type(module).__name__
-        self.sequence = any(type(m).__name__ in SEQUENCES for m in module.modules()) and not starts
+        recurrent = [m for m in module.modules() if isinstance(m, torch.nn.RNNBase)]
+        self.sequence = bool(recurrent) and not starts
         self.size = sum(p.size for p in builder.inputs)
-        recurrent = [m for m in module.modules() if type(m).__name__ in SEQUENCES]
         self.axis = int(bool(recurrent and recurrent[0].batch_first))  # of the steps, beside a batch of one
         self.outputs = 1  # tensors that forward gives before its states
         self.packed = False  # whether forward takes and gives its states as one tuple
