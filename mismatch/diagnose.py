@@ -565,7 +565,7 @@ def _closed(state: State) -> State:
 
     What any smooth term does as well is no name.
     """
-    if not state.open or state.unlike:
+    if not state.open:
         return state
     search, found, claims = state.search, state.found, state.claims
     state.progress("looking for the equation")

@@ -1,5 +1,6 @@
 """Names that a diagnosis is not sure of: they may stand for a curve, or for a detail, that no table has."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -113,8 +114,9 @@ def test_a_name_that_explains_most_is_not_replaced_by_the_same_term_in_other_wor
     assert finding._alike(search, Hypothesis(("leak",)), explained, unknown) is alike
 
 
+@pytest.mark.parametrize("unlike", ["", "what acts is not quite leak"])
 @pytest.mark.parametrize("alike", [True, False])
-def test_a_formula_that_leaves_less_takes_the_place_of_a_name_unless_it_is_the_same(alike, monkeypatch):
+def test_a_formula_that_leaves_less_takes_the_place_of_a_name_unless_it_is_the_same(alike, unlike, monkeypatch):
     where = {"equation": "body", "depends_on": ["v"]}
     closed = ({"where": [where], "effect": {"confidence": 1.0}}, "closed")
     monkeypatch.setattr(finding, "closure", lambda *given: closed)
@@ -126,7 +128,7 @@ def test_a_formula_that_leaves_less_takes_the_place_of_a_name_unless_it_is_the_s
     found = finding.Found(Hypothesis(("leak",)), SimpleNamespace(values={}), None, selection)
     claims = finding.Claims(Hypothesis(("leak",)), None, None)
     state = finding.State(search, selection, lambda text: None, found, claims, Verdict.PARTLY_EXPLAINED, 0.98)
-    said = finding._closed(state)
+    said = finding._closed(replace(state, unlike=unlike))
     assert (said.verdict, bool(claims.refused)) == (
         (Verdict.PARTLY_EXPLAINED, False) if alike else (Verdict.UNEXPLAINED, True)
     )
