@@ -20,23 +20,12 @@ from typing import Annotated
 import numpy as np
 import torch
 
-from greygate.identify.halving import (
-    DECAY,
-    EPOCHS,
-    LADDER,
-    ORDERS,
-    STRONG,
-    Model,
-    begun,
-    pooled,
-    reach,
-    refitted,
-    seeded,
-    thinned,
-)
+from greygate.identify.fitted import begun, refitted, seeded, thinned
+from greygate.identify.halving import EPOCHS, LADDER, ORDERS, reach
 from greygate.identify.ladder import FORMS, Orders
 from greygate.identify.looking import look
 from greygate.identify.task import Task, started, task
+from greygate.identify.tried import DECAY, STRONG, Model, pooled
 from greygate.models.training.record import Record
 
 from .identify import JOBS, NAMES, SECONDS, judged, recorded

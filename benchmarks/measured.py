@@ -15,8 +15,8 @@ import numpy as np
 from greygate.compiler.pipeline import fixed_error
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import ranges
-from greygate.identify.halving import interval, segmented
 from greygate.identify.study import Study, stored
+from greygate.identify.tried import interval, segmented
 from greygate.machines.measured.study import STUDIES
 from greygate.models.accuracy import float_error, rms
 from greygate.models.simplify import simplify

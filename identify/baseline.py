@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.identify.halving import LONG, Halving, reach, thinned
+from greygate.identify.fitted import thinned
+from greygate.identify.halving import LONG, Halving, reach
 from greygate.identify.ladder import LINEAR, Orders
 from greygate.identify.looking import look
 from greygate.identify.sensors import own_sensors

@@ -13,21 +13,11 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing, replacing_folder
-from greygate.identify.halving import (
-    SURE,
-    WORSE,
-    Halving,
-    Tried,
-    draws,
-    interval,
-    reach,
-    segmented,
-    segments,
-    sure_of,
-    warm,
-)
+from greygate.identify.fitted import warm
+from greygate.identify.halving import WORSE, Halving, reach
 from greygate.identify.looking import UNSEEN, Seen, look
 from greygate.identify.task import SHORTEST, Task, task
+from greygate.identify.tried import SURE, Tried, draws, interval, segmented, segments, sure_of
 from greygate.models.accuracy import rms
 from greygate.models.network import Network
 from greygate.models.sampling import same

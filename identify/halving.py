@@ -2,18 +2,31 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 from itertools import zip_longest
 from time import process_time
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binom
 
 from greygate import children
 from greygate.errors import InputError
 from greygate.identify.clock import Clock, Deadline
+from greygate.identify.fitted import (
+    FULL,
+    LEAST,
+    Rung,
+    distances,
+    grows,
+    judged,
+    longest,
+    lowest,
+    most,
+    refitted,
+    thinned,
+    warm,
+)
 from greygate.identify.ladder import (
     ARMAX,
     ARX,
@@ -21,70 +34,30 @@ from greygate.identify.ladder import (
     FIR,
     FORMS,
     LINEAR,
-    LOOP,
-    RATE,
     SUBSPACE,
     Form,
     Orders,
-    calmed,
     falling,
-    fed_back,
-    grown,
-    own,
 )
-from greygate.identify.linear import estimated, taught
-from greygate.identify.states import pulled, states
-from greygate.identify.study import Fold, parameters
-from greygate.identify.subspace import subspace
-from greygate.identify.task import HALVES, Task, started
-from greygate.models.accuracy import float_error, rms
+from greygate.identify.task import HALVES, Task
+from greygate.identify.tried import DECAY, SIMPLER, STATE, STRONG, Model, Tried, pooled, surely
 from greygate.models.layer import LONGEST_DELAY
-from greygate.models.network import Network, Port
-from greygate.models.training.levenberg import Outcome, Trained, train
-from greygate.models.training.record import Record
+from greygate.models.network import Network
+from greygate.models.training.levenberg import Trained
 from greygate.progress import Progress, silent
 
 ORDERS = (1, 2, 3, 4, 5, 6, 7, 8)
 FEW = 4  # the highest order of taps that are set apart: they reach far enough
 PAST = (16, 48)  # taps of a FIR model: it sees a decay of three and of ten of the longest taps of the others
-DECAY = 1e-3  # a prior: no normalised weight should be far above thirty deviations of one normalised error
-STRONG = 3e-2  # the same for recordings whose noise would be learnt with DECAY
-STATE = (0.03, 1.0, 1e-3)  # decays of a state space's neurons, whose signals are spread alike: they are worth more
-SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
-SURE = 0.95  # that a network is better than every linear model, from which it is chosen
 SPOILT = 1.1  # factor of the error over everything by which a fit to everything may be worse than one to a part
 WAYS = ((0.0, 1.0), (-0.5, 1.0), (0.5, 1.0), (0.0, 1.5))  # aside and louder: how networks of all folds must agree
-ASIDE = 0.5  # deviations by which inputs stand beside what was recorded
-STRAY = 3.0  # times what the recording and a linear model then fill, from which a network's run strays
 APART = 1.5  # times what a linear model errs on what was held out, from which the networks of all folds answer apart
 SAFER = 1.5  # factor of the error up to which a network whose linear loop does not grow is taken before one whose does
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
-FEWEST = 20  # samples, from which something may be fitted at all
-LEAST = 0.1  # s that a training has, where its rung has just run out of time
-DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
-SEGMENTS = 4  # of a held-out block: its errors are resampled in runs, because neighbours are alike
 REFITTED = 5  # models that are fitted to everything at most
 LONG = 50_000  # samples that they are then searched on, at most
-WINDOWS = 2  # for each part, into which a fold is cut that is too long to be trained on whole
 EPOCHS = 150  # of a fit to everything
 ENDING = 0.1  # share of the time limit that a linear model's fit to everything has at least
-
-
-@dataclass(frozen=True)
-class Rung:
-    """keep: models that enter it. seeds: starts for each. epochs: of each. samples: at most, of a fold to train on.
-
-    every: 2 for every second fold. until: share of the time limit at which it must end. first: seed.
-    """
-
-    keep: int
-    seeds: int
-    epochs: int
-    samples: int
-    every: int
-    until: float
-    first: int = 0
-
 
 QUICK = Rung(10**6, 1, 0, 8000, 1, 0.2)  # linear models by least squares and by the subspace
 LADDER = Rung(10**6, 1, 60, 8000, 1, 0.3)
@@ -92,132 +65,11 @@ LEADING = 4  # of the linear models, that are then fitted to their free run
 ALONE = replace(LADDER, epochs=20, every=2)  # where nothing grows from the linear models: the best one is fitted anew
 NOISES = replace(LADDER, until=0.35)  # the best of those under other ideas of the noise
 RUNGS = (Rung(10**6, 1, 40, 4000, 2, 0.5), Rung(16, 1, 60, 8000, 1, 0.75), Rung(6, 2, 120, 20000, 1, 0.9))
-FULL = 2  # the first rung at which every fold judges
 AGAIN = 3  # times that the last rung has further starts, while there is time
 BASES = 3  # linear models from which networks are grown, the best ones
 LOW = (2, 3)  # orders of the linear models from which states are grown, beside the best one's
 RICH = 3  # order of one more at each stride
-STILL = 1e-3  # fall of the loss over ten epochs from which a model that is only compared is done
 DONE = 1e-7  # the same where the network is kept
-
-
-@dataclass(frozen=True)
-class Model:
-    """A model of the ladder. decay: D of the loss."""
-
-    form: Form
-    orders: Orders
-    decay: float = DECAY
-
-    @property
-    def name(self) -> str:
-        usual = STATE[0] if self.form.states else DECAY
-        decay = (
-            "" if self.decay == usual or not self.decay else ", strong decay" if self.decay > usual else ", weak decay"
-        )
-        return f"{self.form.name}, {self.orders}{decay}"
-
-    @property
-    def line(self) -> "Model":
-        """The linear model from which it is grown."""
-        return Model(LINEAR, self.orders, 0.0)
-
-
-@dataclass(frozen=True)
-class Tried:
-    """What became of a model.
-
-    networks: fold -> network. errors: fold -> errors (N,) over each of its held-out blocks, in the unit of the output,
-    None where the free run diverges. seconds: that it took in all. safe: no network of it has a
-    linear loop that grows, or strays.
-    """
-
-    model: Model
-    rung: int
-    networks: Mapping[int, Network]
-    errors: Mapping[int, Sequence[np.ndarray | None]]
-    seconds: float
-    safe: bool = True
-
-    @cached_property
-    def parameters(self) -> int:
-        return parameters(self.first)
-
-    @property
-    def first(self) -> Network:
-        """As its first fold left it."""
-        return next(iter(self.networks.values()))
-
-    def blocks(self, folds: Iterable[int]) -> list[np.ndarray | None]:
-        """Errors over the blocks that these folds hold out."""
-        return [e for place in folds for e in self.errors[place]]
-
-    @cached_property
-    def error(self) -> float:
-        """RMS error over everything that was held out; inf: diverges."""
-        return self.over(self.errors)
-
-    @cached_property
-    def typical(self) -> float:
-        """Geometric mean of the errors over each fold: a half-trained network may err wildly over one of them."""
-        found = [self.over([place]) for place in self.errors]
-        return float(np.exp(np.mean(np.log(np.maximum(found, np.finfo(float).tiny)))))
-
-    def over(self, folds: Iterable[int]) -> float:
-        """RMS error over the blocks of these folds; inf: diverges."""
-        return pooled(self.blocks(folds))
-
-
-def pooled(errors: Sequence[np.ndarray | None]) -> float:
-    """RMS of errors; inf where one is None."""
-    found = [e for e in errors if e is not None]
-    return rms(np.concatenate(found)) if found and len(found) == len(errors) else np.inf
-
-
-def segments(tried: Tried, folds: Sequence[int]) -> np.ndarray:
-    """Mean squared errors of the segments of held-out blocks; inf where a free run diverges."""
-    blocks = tried.blocks(folds)
-    if not np.isfinite(tried.over(folds)):
-        return np.full(SEGMENTS * len(blocks), np.inf)
-    return segmented([e for e in blocks if e is not None])
-
-
-def segmented(blocks: Iterable[np.ndarray]) -> np.ndarray:
-    """Mean squared errors of the segments of blocks of errors (N,)."""
-    return np.array([np.mean(s**2) for e in blocks for s in np.array_split(e, SEGMENTS)])
-
-
-def draws(count: int) -> np.ndarray:
-    """Sets of `count` segments, each drawn with replacement (DRAWS, count)."""
-    return np.random.default_rng(0).integers(0, count, (DRAWS, count))
-
-
-def sure_of(one: Tried, other: Tried, folds: Sequence[int]) -> float:
-    """Share of the drawn sets of segments over which `one` errs less."""
-    a, b = segments(one, folds), segments(other, folds)
-    drawn = draws(len(a))
-    return float(np.mean(a[drawn].mean(1) < b[drawn].mean(1)))
-
-
-def surely(one: Tried, other: Tried, folds: Sequence[int]) -> bool:
-    """Whether `one` is better: by its error over everything held out, or, where that is no worse, in nearly each fold.
-
-    Of one stretch that is like no other the error says little, but that it is there: it is in the last fit. Either way
-    it must be better by as much as a model of more weights has to be.
-    """
-    if SIMPLER * one.over(folds) < other.over(folds) and sure_of(one, other, folds) >= SURE:
-        return True
-    ratios = [other.over([place]) / one.over([place]) for place in folds]
-    better = sum(ratio > 1.0 for ratio in ratios)
-    as_good = one.over(folds) <= SIMPLER * other.over(folds) and float(np.median(ratios)) > SIMPLER
-    return as_good and float(binom.sf(better - 1, len(folds), 0.5)) <= 1 - SURE
-
-
-def interval(squares: np.ndarray) -> tuple[float, float]:
-    """95 % of the RMS errors over drawn sets of segments, of mean squared errors `squares` (N,)."""
-    found = np.sqrt(squares[draws(len(squares))].mean(1))
-    low, high = np.quantile(found, (0.025, 0.975))
-    return float(low), float(high)
 
 
 def reach(task: Task, seen: Iterable[Mapping], deepest: int = FEW) -> tuple[list[tuple[int, ...]], list[int]]:
@@ -453,8 +305,8 @@ class Halving:
         """
         found, all_ = [], list(networks)
         for way in WAYS:
-            alike = max(line.error, float(np.median(_apart(self.task, list(line.networks.values()), *way))))
-            found.append(_apart(self.task, all_, *way) / alike if np.isfinite(alike) else np.zeros(len(all_)))
+            alike = max(line.error, float(np.median(distances(self.task, list(line.networks.values()), *way))))
+            found.append(distances(self.task, all_, *way) / alike if np.isfinite(alike) else np.zeros(len(all_)))
         return np.array(found)
 
     def whole(self, network: Network) -> float:
@@ -559,281 +411,6 @@ class Halving:
         return lowest(fits)
 
 
-def warm(task: Task, clock: Clock | None = None) -> None:
-    """Load what trains networks, or compile it where that was never done here; note what that takes."""
-    if clock:
-        clock.note()
-    record = next(iter(task.records.values()))
-    model, pieces = Model(LINEAR, Orders(1, (0,) * len(task.inputs)), 0.0), [record.cut(0, FEWEST, skip=0)]
-    start = taught(model.form.build(model.orders, task.inputs, task.output, 0), pieces).network
-    trained(model, task, start, pieces, 1, math.inf)
-    if clock:
-        clock.note()
-
-
 def ordered(delay: tuple[int, ...], strides: Sequence[int]) -> list[Orders]:
     """Every order of linear models of one delay, the lowest first."""
     return [Orders(o, delay, s) for o in ORDERS for s in strides if s == 1 or o <= FEW]
-
-
-def judged(
-    task: Task,
-    folds: Mapping[int, Fold],
-    model: Model,
-    line: Tried | None,
-    before: Tried | None,
-    number: int,
-    rung: Rung,
-    until: Deadline,
-) -> Tried | None:
-    """The model, trained on the folds of a rung and judged; None if time is up before.
-
-    line: what it is grown from. before: what the rung below has made of it.
-    """
-    began = process_time()
-    if not until.left > 0:
-        return None
-    networks, errors = {}, {}
-    fit: Trained | None
-    for place, fold in folds.items():
-        known = line.networks[place] if line else None
-        if known is None or model.form.linear:
-            fit = linear(task, model, known, fold.pieces, rung, until.left)
-            if model.form == SUBSPACE and fit.outcome is Outcome.TIME:  # too short for it
-                return None
-        else:
-            earlier = [before.networks[place]] if before and place in before.networks else []
-            fit = network(task, model, known, earlier, fold.pieces, rung, until)
-        if fit is None:
-            return None
-        networks[place] = fit.network
-        errors[place] = [task.errors(networks[place], block) for block in fold.blocks]
-    growing = [grows(model, n, task) for n in networks.values()]
-    if most(growing) and model.form.loop_is_linear:
-        errors = {place: [None] * len(of) for place, of in errors.items()}
-    if until.clock:
-        until.clock.note()
-    safe = not (most if model.form.linear else any)(growing)  # a line is fitted anew to everything
-    if safe and line and number >= FULL:
-        safe = not any(strays(n, line.networks[place], task) for place, n in networks.items())
-    return Tried(model, number, networks, errors, process_time() - began, safe)
-
-
-def most(of: Iterable[bool]) -> bool:
-    """Whether more than half are true."""
-    found = list(of)
-    return 2 * sum(found) > len(found)
-
-
-def longest(task: Task) -> int:
-    """Samples of the longest recording."""
-    return max(len(r) for r in task.records.values())
-
-
-def grows(model: Model, network: Network, task: Task) -> bool:
-    """Whether the motions of its linear loop grow by e within the longest recording.
-
-    Its neurons are bounded: where they are at their bounds, beyond what it was trained on, the linear loop alone acts.
-    """
-    return model.form.feedback and -longest(task) < falling(network, model.orders, task.output) < 0
-
-
-def strays(network: Network, line: Network | None, task: Task) -> bool:
-    """Whether a run leaves what the recording and a linear model fill, where the inputs stand beside what they were.
-
-    Held-out blocks of the same day do not show it: a loop of neurons that stands still about there may run off. A plant
-    may, too, as a mass does over its top: so another network is only preferred.
-    """
-    return line is not None and any(
-        not _reach(network, r, task.output, aside) <= STRAY * _reach(line, r, task.output, aside)
-        for r in task.records.values()
-        for aside in (-ASIDE, ASIDE)
-    )
-
-
-@np.errstate(over="ignore", invalid="ignore")  # a run may diverge
-def _apart(task: Task, networks: Sequence[Network], aside: float, louder: float) -> np.ndarray:
-    """RMS distance of their free runs from the median of these, in the output's unit (networks,); inf: diverges.
-
-    Of runs that go further than what was recorded, so much less. aside: deviations by which the inputs stand beside
-    what was recorded. louder: how many times as far from their mean they go.
-    """
-    squares, count, far = np.zeros(len(networks)), 0, 1.0
-    for record in task.records.values():
-        inputs = {n: u.mean() + louder * (u - u.mean()) + aside * u.std() for n, u in record.inputs.items()}
-        measured = record.targets[task.output.name][task.settle :]
-        runs = np.array([_rested(task, n, replace(record, inputs=inputs)) for n in networks]) + measured
-        middle = np.median(runs, axis=0)
-        squares += np.nan_to_num(np.sum((runs - middle) ** 2, axis=1), nan=np.inf)
-        count, far = count + len(measured), max(far, float(np.nan_to_num(np.std(middle) / np.std(measured), nan=1.0)))
-    return np.sqrt(squares / count) / far
-
-
-def _rested(task: Task, network: Network, record: Record) -> np.ndarray:
-    """Errors of a free run from where it rests, for no first samples of it were measured; inf where it diverges."""
-    try:
-        return float_error(network, record)[task.output.name][task.settle :]
-    except InputError:
-        return np.full(len(record) - task.settle, np.inf)
-
-
-def _reach(network: Network, record: Record, output: Port, aside: float) -> float:
-    """How far a run with inputs so many deviations aside goes, or the recording does; inf where the run diverges."""
-    inputs = {p.name: record.inputs[p.name] + aside * np.std(record.inputs[p.name]) for p in network.inputs}
-    target = record.targets[output.name]
-    try:
-        error = float_error(network, replace(record, inputs=inputs))[output.name]
-    except InputError:
-        return np.inf
-    return max(float(np.abs(output.normalised(y)).max()) for y in (target + error, target))
-
-
-def linear(
-    task: Task, model: Model, line: Network | None, pieces: Sequence[Record], rung: Rung, seconds: float
-) -> Trained:
-    """The linear model under its idea of the noise. line: the output-error model of the same taps, if there is one.
-
-    An output-error model begins as the better one of ARX and of the subspace.
-    """
-    if line is None and model.orders.integrating:
-        start = summed(model, task, pieces)
-    else:
-        start = line or begun(model, task, pieces)
-    return refitted(model, task, start, pieces, rung.epochs, seconds) if rung.epochs else as_it_is(start, pieces)
-
-
-def begun(model: Model, task: Task, pieces: Sequence[Record]) -> Network:
-    """The linear model as ARX, or by the subspace where that runs free better."""
-    start = taught(model.form.build(model.orders, task.inputs, task.output, 0), pieces).network
-    if model.form != LINEAR or model.orders.stride > 1:
-        return start
-    ways = [start, subspace(model.orders, task.output, start, pieces)]
-    return lowest([as_it_is(way, pieces) for way in ways if way]).network
-
-
-def summed(model: Model, task: Task, pieces: Sequence[Record]) -> Network:
-    """The integrating model: its rate begins as a model of the output's differences."""
-    steps = replace(task.output, scale=task.output.scale * model.orders.step, offset=0.0, initial=0.0)
-    of = replace(model, orders=replace(model.orders, step=0.0))
-    found = begun(of, replace(task, output=steps), [differences(p, steps) for p in pieces]).parameters()
-    network = model.form.build(model.orders, task.inputs, task.output, 0)
-    taken = [p.name for p in (*task.inputs, task.output)]
-    loop, rate = own(LOOP, taken), own(RATE, taken)
-    return network.with_parameters({rate + n.removeprefix(loop): v for n, v in found.items()})
-
-
-def differences(record: Record, output: Port) -> Record:
-    """The record from its second sample on, of the output's difference from one sample to the next."""
-    inputs = {n: v[1:] for n, v in record.inputs.items()}
-    return started(Record(inputs, {output.name: np.diff(record.targets[output.name])}), output)
-
-
-def refitted(
-    model: Model,
-    task: Task,
-    start: Network,
-    records: Sequence[Record],
-    epochs: int,
-    seconds: float,
-    tolerance: float = STILL,
-) -> Trained:
-    """The model fitted to records from `start` on, in free run, or as its idea of the noise asks."""
-    if model.form == SUBSPACE:
-        found = subspace(model.orders, task.output, start, records)
-        if found is None:  # too short for it: left untried, as what time does not suffice for
-            return replace(as_it_is(start, records), outcome=Outcome.TIME)
-        return as_it_is(found, records)
-    if model.form in (ARX, ARMAX, BJ):
-        return estimated(model.form, model.orders, task.output, start, records, epochs, max(seconds, LEAST))
-    return trained(model, task, start, records, epochs, seconds, tolerance)
-
-
-def network(
-    task: Task,
-    model: Model,
-    line: Network,
-    known: Sequence[Network],
-    pieces: Sequence[Record],
-    rung: Rung,
-    until: Deadline,
-) -> Trained | None:
-    """The network, trained on from what is `known` of it or grown from the linear one with each seed, as time allows.
-
-    The lowest loss of a stable one wins. None where nothing can be grown.
-    """
-    seeds = range(max(rung.first, len(known)), rung.seeds)
-    starts = [*known, *(seeded(task, model, line, pieces, seed) for seed in seeds)]
-    fits: list[Trained] = []
-    for start in filter(None, starts):
-        if (left := until.left) > 0:
-            fits.append(trained(model, task, start, pieces, rung.epochs, left))
-    return lowest([f for f in fits if not grows(model, f.network, task)] or fits) if fits else None
-
-
-def seeded(task: Task, model: Model, line: Network, pieces: Sequence[Record], seed: int) -> Network | None:
-    """The network as it grows from the linear model, whose neurons weigh next to nothing; None where it cannot."""
-    if not model.form.states:
-        return grown(model.form.build(model.orders, task.inputs, task.output, seed), line)
-    try:
-        return states(model.form, model.orders, task.inputs, task.output, line, pieces, seed)
-    except InputError:
-        return None
-
-
-def as_it_is(network: Network, records: Sequence[Record]) -> Trained:
-    """The network and its loss in free run, not trained."""
-    return train(network, records, estimate_initial=True, epochs=0)
-
-
-def trained(
-    model: Model,
-    task: Task,
-    start: Network,
-    pieces: Sequence[Record],
-    epochs: int,
-    seconds: float,
-    tolerance: float = STILL,
-) -> Trained:
-    """The model trained in free run from `start` on. seconds: of the processor.
-
-    Neurons can hold a linear loop that grows, but only where they were trained. Such a loop is calmed and held, and
-    they are trained once more: they may still add to it, within their bounds.
-    """
-    ends = process_time() + seconds
-    decay = pulled(start, model.decay) if model.form.states else model.decay
-    run = partial(
-        train,
-        records=pieces,
-        estimate_initial=True,
-        epochs=epochs,
-        decay=decay,
-        clock=process_time,
-        tolerance=tolerance,
-    )
-    fit = run(start, seconds=max(seconds, LEAST))
-    if model.form.linear or not grows(model, fit.network, task):
-        return fit
-    of = model.orders, task.output
-    calm = calmed(fit.network, *of, longest(task))
-    loop = dict.fromkeys(fed_back(calm, *of), False)
-    again = run(calm, free=loop, seconds=max(ends - process_time(), LEAST))
-    return fit if again.outcome is Outcome.DIVERGED else again
-
-
-def lowest(fits: Sequence[Trained]) -> Trained:
-    """The fit of the lowest loss; one that diverges comes last."""
-    return min(fits, key=lambda f: (f.outcome is Outcome.DIVERGED, f.history[-1]))
-
-
-def thinned(pieces: Sequence[Record], samples: int, task: Task) -> list[Record]:
-    """The pieces, or as many windows of them, evenly spread, as hold at most `samples`."""
-    total = sum(len(p) for p in pieces)
-    if total <= samples:
-        return list(pieces)
-    length = max(10 * task.settle, samples // (WINDOWS * task.parts))
-    found = []
-    for piece in pieces:
-        count = max(int(len(piece) * samples / total / length), 1)
-        for start in np.linspace(0, max(len(piece) - length, 0), count).astype(int):
-            found.append(started(piece.cut(int(start), int(start) + length), task.output))
-    return found

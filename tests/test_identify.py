@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
-from greygate.identify import halving
+from greygate.identify import fitted, halving
 from greygate.identify.clock import Clock, Deadline
 from greygate.identify.files import Identified, figures, identify, lines
 from greygate.identify.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, Orders, calmed, falling, fed_back, grown
@@ -22,6 +22,7 @@ from greygate.identify.linear import taught
 from greygate.identify.looking import look
 from greygate.identify.subspace import numerators, subspace
 from greygate.identify.task import task
+from greygate.identify.tried import SURE, Model, Tried, sure_of
 from greygate.models.accuracy import float_error, rms
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
@@ -56,7 +57,7 @@ def shortened(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(halving, "FORMS", [f for f in FORMS if f.before == 3 or f.inside == 3][:3])
     patch.setattr(halving, "BASES", 1)
     patch.setattr(halving, "AGAIN", 1)
-    patch.setattr(halving, "RUNGS", (halving.Rung(9, 1, 10, 4000, 2, 1.0), halving.Rung(3, 1, 100, 8000, 1, 1.0)))
+    patch.setattr(halving, "RUNGS", (fitted.Rung(9, 1, 10, 4000, 2, 1.0), fitted.Rung(3, 1, 100, 8000, 1, 1.0)))
 
 
 @pytest.fixture
@@ -69,7 +70,7 @@ def shortest(short, monkeypatch):
     """Every kind of model of that ladder, none of them trained for long."""
     monkeypatch.setattr(halving, "ORDERS", (1,))
     monkeypatch.setattr(halving, "LEADING", 1)
-    monkeypatch.setattr(halving, "RUNGS", (halving.Rung(9, 1, 2, 4000, 4, 1.0), halving.Rung(1, 1, 2, 4000, 1, 1.0)))
+    monkeypatch.setattr(halving, "RUNGS", (fitted.Rung(9, 1, 2, 4000, 4, 1.0), fitted.Rung(1, 1, 2, 4000, 1, 1.0)))
 
 
 def found(train: Recording, tests=(), jobs: int = 2, seconds: float = math.inf):
@@ -263,9 +264,9 @@ def test_the_command_writes_a_network_that_validates_and_compiles(short, greygat
 
 
 def test_a_model_that_diverges_is_a_row_without_a_figure(searched):
-    model = halving.Model(LINEAR, Orders(7, (0,)), 0.0)
+    model = Model(LINEAR, Orders(7, (0,)), 0.0)
     networks = searched.tried[searched.chosen().model].networks
-    wild = halving.Tried(model, 0, networks, {place: [None] for place in range(8)}, 0.0)
+    wild = Tried(model, 0, networks, {place: [None] for place in range(8)}, 0.0)
     searched.tried[wild.model] = wild
     chosen, fit = searched.final()
     found = Identified(searched.task, chosen, replace(fit.network, dt=0.1), searched, {}, {}, 1.0)
@@ -298,12 +299,12 @@ def test_a_stretch_that_is_like_no_other_is_named(short):
 
 def test_a_model_that_time_does_not_suffice_for_is_left_untried(short):
     posed = task({"a": recorded(1)}, ["u"], "y")
-    model, folds = halving.Model(LINEAR, Orders(1, (0,))).line, dict(enumerate(posed.folds()))
+    model, folds = Model(LINEAR, Orders(1, (0,))).line, dict(enumerate(posed.folds()))
     clock = Clock()
-    assert halving.judged(posed, folds, model, None, None, 0, halving.LADDER, Deadline(clock, 0.0)) is None
+    assert fitted.judged(posed, folds, model, None, None, 0, halving.LADDER, Deadline(clock, 0.0)) is None
     soon = Deadline(clock, clock.spent() + 1e-3)
-    hasty = halving.judged(posed, folds, model, None, None, 0, halving.LADDER, soon)
-    whole = halving.judged(posed, folds, model, None, None, 0, halving.LADDER, Deadline())
+    hasty = fitted.judged(posed, folds, model, None, None, 0, halving.LADDER, soon)
+    whole = fitted.judged(posed, folds, model, None, None, 0, halving.LADDER, Deadline())
     assert hasty is None or hasty.error == pytest.approx(
         whole.error, rel=0.2
     )  # from least squares on, as far as it came
@@ -384,9 +385,9 @@ def test_a_model_is_found_where_the_noise_is_as_it_supposes(form):
     asked, errors = task({"run": recording}, ["u"], "y"), {}
     records, true = list(asked.records.values()), asked.record(replace(recording, channels={"u": u, "y": clean}))
     for kind in (LINEAR, form):
-        model = halving.Model(kind, Orders(2, (0,)), 0.0)
-        start = halving.linear(asked, halving.Model(LINEAR, model.orders, 0.0), None, records, halving.LADDER, math.inf)
-        fit = halving.refitted(model, asked, start.network, records, 60, math.inf, halving.DONE)
+        model = Model(kind, Orders(2, (0,)), 0.0)
+        start = fitted.linear(asked, Model(LINEAR, model.orders, 0.0), None, records, halving.LADDER, math.inf)
+        fit = fitted.refitted(model, asked, start.network, records, 60, math.inf, halving.DONE)
         errors[kind.name] = rms(asked.errors(fit.network, true))
     assert errors[form.name] < 0.25 * rms(noise)
     assert errors[form.name] < errors["OE"], "output error supposes white noise"
@@ -485,8 +486,8 @@ def test_poles_outside_the_unit_circle_give_weights_all_the_same():
 
 def test_an_output_error_model_begins_as_the_subspace_where_that_runs_free_better():
     asked = task({"run": recorded(1, samples=1500, noise=0.1)}, ["u"], "y")
-    records, model = list(asked.records.values()), halving.Model(LINEAR, Orders(2, (1,)), 0.0)
-    begun = halving.linear(asked, model, None, records, replace(halving.LADDER, epochs=0), math.inf).network
+    records, model = list(asked.records.values()), Model(LINEAR, Orders(2, (1,)), 0.0)
+    begun = fitted.linear(asked, model, None, records, replace(halving.LADDER, epochs=0), math.inf).network
     start = LINEAR.build(model.orders, asked.inputs, asked.output, 0)
     expected = subspace(model.orders, asked.output, start, records).parameters()
     for name, value in begun.parameters().items():
@@ -536,8 +537,8 @@ def test_friction_of_an_axis_is_a_curve_of_its_rate(short, monkeypatch):
 def test_a_linear_loop_says_how_slow_it_is_and_whether_it_is_stable():
     posed = task({"a": recorded(1)}, ["u"], "y")
 
-    def built(weight: float, **orders) -> tuple[halving.Model, Network]:
-        model = halving.Model(LINEAR, Orders(1, (0,), **orders))
+    def built(weight: float, **orders) -> tuple[Model, Network]:
+        model = Model(LINEAR, Orders(1, (0,), **orders))
         loop = "rate" if model.orders.integrating else "state"
         network = LINEAR.build(model.orders, posed.inputs, posed.output, 0)
         return model, network.with_parameters({f"{loop}.y_z{model.orders.stride}": [[weight]]})
@@ -553,7 +554,7 @@ def test_a_linear_loop_says_how_slow_it_is_and_whether_it_is_stable():
     ]:
         model, network = built(weight, **orders)
         assert falling(network, model.orders, posed.output) == pytest.approx(slow)
-        assert halving.grows(model, network, posed) == (slow == -2.0)  # over 400 samples
+        assert fitted.grows(model, network, posed) == (slow == -2.0)  # over 400 samples
 
 
 @pytest.mark.parametrize("form", [f for f in FORMS if f.states == 3 or f.inside == 3], ids=lambda f: f.name)
@@ -562,19 +563,19 @@ def test_a_loop_that_grows_is_calmed_and_held_while_its_neurons_train(form):
     rec = recorded(1)
     y = lfilter([0, 0.05], [1, -0.95], rec["u"])
     posed = task({"a": Recording(rec.dt, {"u": rec["u"], "y": y}, rec.units)}, ["u"], "y")
-    pieces, model = list(posed.records.values()), halving.Model(form, Orders(2, (0,), stride=1))
+    pieces, model = list(posed.records.values()), Model(form, Orders(2, (0,), stride=1))
     line = LINEAR.build(model.orders, posed.inputs, posed.output, 0)
     line = line.with_parameters({"state.y_z1": [[0.9]], "state.y_z2": [[0.05]], "state.u_z1": [[0.1]]})
-    start = halving.seeded(posed, model, line, pieces, 0)
+    start = fitted.seeded(posed, model, line, pieces, 0)
     loop = fed_back(start, model.orders, posed.output)
     wild = start.with_parameters({name: 1.5**ago * start.parameters()[name] for name, ago in loop.items()})
-    assert halving.grows(model, wild, posed)
+    assert fitted.grows(model, wild, posed)
     calm = calmed(wild, model.orders, posed.output, 400)
     assert falling(calm, model.orders, posed.output) == pytest.approx(400)
-    fit = halving.trained(model, posed, wild, pieces, 5, math.inf)
+    fit = fitted.trained(model, posed, wild, pieces, 5, math.inf)
     assert falling(fit.network, model.orders, posed.output) == pytest.approx(400)
-    fit = halving.trained(model, posed, wild, pieces, 0, math.inf)
-    assert not halving.grows(model, fit.network, posed)
+    fit = fitted.trained(model, posed, wild, pieces, 0, math.inf)
+    assert not fitted.grows(model, fit.network, posed)
     assert {n: fit.network.parameters()[n].tolist() for n in loop} == {n: calm.parameters()[n].tolist() for n in loop}
 
 
@@ -583,9 +584,9 @@ def test_a_network_that_runs_off_beside_what_was_recorded_is_no_safe_one(searche
     posed = searched.task
     line = LINEAR.build(Orders(1, (0,)), posed.inputs, posed.output, 0)
     near, slow = (line.with_parameters({"state.y_z1": [[pole]], "state.u_z1": [[1 - 0.9]]}) for pole in (0.9, 1 - 1e-4))
-    assert not halving.strays(near, near, posed)
-    assert halving.strays(slow, near, posed)
-    assert not halving.strays(slow, slow, posed)  # an axis runs as far by its linear model
+    assert not fitted.strays(near, near, posed)
+    assert fitted.strays(slow, near, posed)
+    assert not fitted.strays(slow, slow, posed)  # an axis runs as far by its linear model
     first = searched.chosen()
     wild = replace(first, model=replace(first.model, decay=0.5), safe=False)
     searched.tried = {first.model: replace(first, errors={p: [1.2 * e for e in of] for p, of in first.errors.items()}),
@@ -597,11 +598,11 @@ def test_a_network_that_runs_off_beside_what_was_recorded_is_no_safe_one(searche
 
 def test_a_model_whose_motions_grow_is_judged_as_one_that_diverges():
     posed = task({"a": recorded(1)}, ["u"], "y")
-    model = halving.Model(LINEAR, Orders(1, (0,)), 0.0)
+    model = Model(LINEAR, Orders(1, (0,)), 0.0)
     wild = LINEAR.build(model.orders, posed.inputs, posed.output, 0).with_parameters({"state.y_z1": [[1.01]]})
-    tried = halving.Tried(model, 0, dict.fromkeys(range(8), wild), {}, 0.0)
+    tried = Tried(model, 0, dict.fromkeys(range(8), wild), {}, 0.0)
     rung = replace(halving.LADDER, epochs=0)
-    judged = halving.judged(posed, dict(enumerate(posed.folds())), model, tried, None, 0, rung, Deadline())
+    judged = fitted.judged(posed, dict(enumerate(posed.folds())), model, tried, None, 0, rung, Deadline())
     assert judged.error == math.inf
     assert set(map(tuple, judged.errors.values())) == {(None,)}
 
@@ -616,7 +617,7 @@ def test_a_network_is_grown_from_an_integrating_model_only_where_its_rate_stays_
 def test_where_time_ends_before_the_longer_runs_the_shorter_ones_have_judged(short, monkeypatch):
     posed = task({"a": axis(1)}, ["u"], "y")
     search = halving.Halving(posed, math.inf, 1)
-    ladder = [halving.Model(LINEAR, Orders(1, (0,)), 0.0)]
+    ladder = [Model(LINEAR, Orders(1, (0,)), 0.0)]
     search.rung(0, halving.LADDER, ladder)
     tried = search.tried
     monkeypatch.setattr(search, "rung", lambda *given: None)
@@ -635,12 +636,12 @@ def test_in_no_time_at_all_there_is_a_model(recording):
 
 def test_what_more_training_spoils_stays_as_it_was(monkeypatch):
     posed = task({"a": recorded(1)}, ["u"], "y")
-    search, model = halving.Halving(posed, math.inf, 1), halving.Model(LINEAR, Orders(1, (0,)), 0.0)
+    search, model = halving.Halving(posed, math.inf, 1), Model(LINEAR, Orders(1, (0,)), 0.0)
     network = LINEAR.build(model.orders, posed.inputs, posed.output, 0)
     for number, (error, folds, kept) in enumerate([(1.0, 1, 1.0), (2.0, 1, 1.0), (0.5, 1, 0.5), (3.0, 2, 3.0)]):
         places = range(folds)  # of other folds an error says nothing
         of = {place: [np.full(9, error)] for place in places}
-        found = halving.Tried(model, number, dict.fromkeys(places, network), of, 0.0)
+        found = Tried(model, number, dict.fromkeys(places, network), of, 0.0)
         monkeypatch.setattr(halving, "judged", lambda *given, found=found: found)
         search.rung(number, halving.LADDER, [model])
         assert search.tried[model].error == pytest.approx(kept)
@@ -648,21 +649,21 @@ def test_what_more_training_spoils_stays_as_it_was(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("better", "last", "surely"),
+    ("better", "last", "chosen"),
     [
         (0.999, 1.0, False),  # a thousandth less in seven of eight folds is no reason for more weights
         (0.9, 1.3, True),  # one stretch like no other says little
         (0.9, 1.9, False),  # but nothing where it counts for more than all the others
     ],
 )
-def test_a_network_is_better_in_nearly_each_fold_by_more_than_a_trifle(better, last, surely):
+def test_a_network_is_better_in_nearly_each_fold_by_more_than_a_trifle(better, last, chosen):
     rng, base = np.random.default_rng(3), {}
-    model = halving.Model(LINEAR, Orders(1, (0,)), 0.0)
+    model = Model(LINEAR, Orders(1, (0,)), 0.0)
     base = {place: [np.abs(rng.normal(1.0, 0.5, 400))] for place in range(8)}
     other = {place: [(last if place == 7 else better) * errors[0]] for place, errors in base.items()}
-    linear, bent = (halving.Tried(model, 0, {}, errors, 0.0) for errors in (base, other))
-    assert halving.sure_of(bent, linear, range(8)) < halving.SURE or not surely
-    assert halving.surely(bent, linear, range(8)) is surely
+    linear, bent = (Tried(model, 0, {}, errors, 0.0) for errors in (base, other))
+    assert sure_of(bent, linear, range(8)) < SURE or not chosen
+    assert surely(bent, linear, range(8)) is chosen
 
 
 def test_a_rung_trains_on_windows_of_its_folds_alone(monkeypatch):
@@ -670,7 +671,7 @@ def test_a_rung_trains_on_windows_of_its_folds_alone(monkeypatch):
     sent = []
     monkeypatch.setattr(halving, "judged", lambda task, folds, *rest: sent.append(folds))
     rung = replace(halving.LADDER, samples=2100, every=3)
-    search.rung(1, rung, [halving.Model(LINEAR, Orders(1, (0,)), 0.0)])
+    search.rung(1, rung, [Model(LINEAR, Orders(1, (0,)), 0.0)])
     (folds,) = sent
     assert list(folds) == [0, 3, 6]
     for place, fold in folds.items():
@@ -678,12 +679,12 @@ def test_a_rung_trains_on_windows_of_its_folds_alone(monkeypatch):
         assert fold.blocks is search.folds[place].blocks
 
 
-def found_linear(posed, error: float, *orders, weight: float = 0.5, **more) -> halving.Tried:
+def found_linear(posed, error: float, *orders, weight: float = 0.5, **more) -> Tried:
     """A linear model that a search found, with that error over everything held out."""
-    model = halving.Model(LINEAR, Orders(*orders, **more), 0.0)
+    model = Model(LINEAR, Orders(*orders, **more), 0.0)
     network = LINEAR.build(model.orders, posed.inputs, posed.output, 0)
     network = network.with_parameters({f"state.y_z{model.orders.stride}": [[weight]]})
-    return halving.Tried(model, 0, {0: network}, {0: [np.full(9, error)]}, 0.0)
+    return Tried(model, 0, {0: network}, {0: [np.full(9, error)]}, 0.0)
 
 
 def test_networks_grow_from_the_best_and_from_rich_taps_without_delay():
@@ -743,7 +744,7 @@ def test_a_network_that_errs_wildly_over_one_fold_yet_enters_the_next_rung_first
         for model in models:
             wild = number == 1 and model is models[-1]
             errors = {0: [np.full(9, 0.1 if wild else 3.0)], 1: [np.full(9, 10.0 if wild else 3.0)]}
-            search.tried[model] = halving.Tried(model, number, dict.fromkeys(errors, network), errors, 0.0)
+            search.tried[model] = Tried(model, number, dict.fromkeys(errors, network), errors, 0.0)
 
     monkeypatch.setattr(search, "rung", rung)
     monkeypatch.setattr(search, "drifts", lambda: False)

@@ -11,11 +11,12 @@ from scipy.signal import lfilter
 
 from greygate.children import workers
 from greygate.errors import InputError
-from greygate.identify import halving
+from greygate.identify import fitted, halving
 from greygate.identify.clock import Clock, Deadline
 from greygate.identify.ladder import FORMS, LINEAR, Form, Orders, falling
 from greygate.identify.states import balanced, pulled, realised, states
 from greygate.identify.task import task
+from greygate.identify.tried import STATE, SURE, Model, Tried, sure_of, surely
 from greygate.plants.recording import Recording
 
 SPACES = [f for f in FORMS if f.states]
@@ -83,9 +84,9 @@ def test_states_hold_a_curve_between_two_filters():
     posed = task({"a": given}, ["u", "w"], "y")
     orders, records = Orders(4, (2, 0)), list(posed.records.values())
     rung = replace(halving.LADDER, epochs=150)
-    linear = halving.linear(posed, halving.Model(LINEAR, orders, 0.0), None, records, rung, np.inf).network
-    model = halving.Model(next(f for f in SPACES if f.states == 8 and f.after == 8), orders, halving.STATE[0])
-    found = halving.network(posed, model, linear, [], records, rung, Deadline()).network
+    linear = fitted.linear(posed, Model(LINEAR, orders, 0.0), None, records, rung, np.inf).network
+    model = Model(next(f for f in SPACES if f.states == 8 and f.after == 8), orders, STATE[0])
+    found = fitted.network(posed, model, linear, [], records, rung, Deadline()).network
     error, straight = (np.std(posed.errors(n, posed.record(other))) for n in (found, linear))
     assert error < 0.2 * straight
 
@@ -102,11 +103,11 @@ def test_only_neurons_and_what_reads_them_are_pulled_to_zero():
 
 def test_states_that_grow_are_judged_as_a_model_that_diverges():
     posed = task({"a": recorded(1)}, ["u", "w"], "y")
-    model = halving.Model(SPACES[0], Orders(1, (0, 0)))
+    model = Model(SPACES[0], Orders(1, (0, 0)))
     linear, records = line(posed, model.orders, **{"state.u_z0": 1.0, "state.y_z1": 0.5}), [*posed.records.values()]
     network = states(model.form, model.orders, posed.inputs, posed.output, linear, records, 0)
-    assert not halving.grows(model, network, posed)
-    assert halving.grows(model, network.with_parameters({"states.past": [[1.2]]}), posed)
+    assert not fitted.grows(model, network, posed)
+    assert fitted.grows(model, network.with_parameters({"states.past": [[1.2]]}), posed)
 
 
 def test_a_network_is_chosen_only_where_it_is_surely_better_than_a_line():
@@ -114,9 +115,9 @@ def test_a_network_is_chosen_only_where_it_is_surely_better_than_a_line():
     search, random = halving.Halving(posed, np.inf, 1), np.random.default_rng(0)
     network = LINEAR.build(Orders(1, (0, 0)), posed.inputs, posed.output, 0)
 
-    def tried(form: Form, error: float, rung: int) -> halving.Tried:
-        model = halving.Model(form, Orders(1, (0, 0)), 0.0)
-        return halving.Tried(model, rung, {0: network}, {0: [error * random.normal(size=40)]}, 0.0)
+    def tried(form: Form, error: float, rung: int) -> Tried:
+        model = Model(form, Orders(1, (0, 0)), 0.0)
+        return Tried(model, rung, {0: network}, {0: [error * random.normal(size=40)]}, 0.0)
 
     straight, near, far = tried(LINEAR, 1.0, 0), tried(SPACES[0], 0.9, 3), tried(SPACES[1], 0.2, 3)
     search.tried = {t.model: t for t in (straight, near)}
@@ -129,17 +130,17 @@ def test_a_network_whose_folds_answer_apart_is_not_chosen():
     """However small its error: what is not known of larger inputs shows where networks of all folds part."""
     posed = task({"a": recorded(1)}, ["u", "w"], "y")
     search, orders = halving.Halving(posed, np.inf, 1), Orders(1, (0, 0))
-    model = halving.Model(SPACES[0], orders)
+    model = Model(SPACES[0], orders)
     linear, records = line(posed, orders, **{"state.u_z0": 1.0, "state.y_z1": 0.5}), [*posed.records.values()]
     alike = states(model.form, orders, posed.inputs, posed.output, linear, records, 0)
     (neurons,) = (n for n in alike.parameters() if n.startswith("states.") and n.endswith("neurons"))
     bent = alike.with_parameters({neurons: 3.0 * np.ones_like(alike.parameters()[neurons])})
 
-    def tried(model: halving.Model, networks, error: float) -> halving.Tried:
+    def tried(model: Model, networks, error: float) -> Tried:
         errors = {k: [np.full(40, error)] for k in range(2)}
-        return halving.Tried(model, 3, dict(enumerate(networks)), errors, 0.0)
+        return Tried(model, 3, dict(enumerate(networks)), errors, 0.0)
 
-    straight = tried(halving.Model(LINEAR, orders, 0.0), [linear, linear], 0.1)
+    straight = tried(Model(LINEAR, orders, 0.0), [linear, linear], 0.1)
     one, other = tried(model, [alike, alike], 0.01), tried(model, [alike, bent], 0.01)
     assert search.agrees(one, straight)
     assert not search.agrees(other, straight)
@@ -152,26 +153,26 @@ def test_a_network_whose_folds_answer_apart_is_not_chosen():
         search.tried = {t.model: t for t in (straight, network)}
         assert search.chosen() is (one if network is one else straight)
     shifted = linear.with_parameters({"state.bias": [1.0]})
-    assert halving._apart(posed, [linear, linear], 0.5, 1.5).tolist() == [0.0, 0.0]
-    assert halving._apart(posed, [linear, shifted], 0.0, 1.0).min() > 0.3 * posed.output.scale
+    assert fitted.distances(posed, [linear, linear], 0.5, 1.5).tolist() == [0.0, 0.0]
+    assert fitted.distances(posed, [linear, shifted], 0.0, 1.0).min() > 0.3 * posed.output.scale
     runaway = linear.with_parameters({"state.y_z1": [[9.0]]})
-    assert halving._apart(posed, [linear, linear, runaway], 0.0, 1.0)[2] > 1e9
+    assert fitted.distances(posed, [linear, linear, runaway], 0.0, 1.0)[2] > 1e9
 
 
 def test_a_network_that_fails_over_one_stretch_alone_is_better_too():
     posed = task({"a": recorded(1)}, ["u", "w"], "y")
     network = LINEAR.build(Orders(1, (0, 0)), posed.inputs, posed.output, 0)
 
-    def tried(form: Form, errors) -> halving.Tried:
-        model = halving.Model(form, Orders(1, (0, 0)), 0.0)
-        return halving.Tried(model, 0, {0: network}, {k: [np.full(40, e)] for k, e in enumerate(errors)}, 0.0)
+    def tried(form: Form, errors) -> Tried:
+        model = Model(form, Orders(1, (0, 0)), 0.0)
+        return Tried(model, 0, {0: network}, {k: [np.full(40, e)] for k, e in enumerate(errors)}, 0.0)
 
     straight = tried(LINEAR, [1.0] * 8)
     wild, wilder = (tried(SPACES[0], [0.3] * 7 + [last]) for last in (2.7, 3.5))
-    assert halving.sure_of(wild, straight, range(8)) < halving.SURE
-    assert halving.surely(wild, straight, range(8))
-    assert not halving.surely(wilder, straight, range(8))
-    assert not halving.surely(tried(SPACES[0], [0.9] * 5 + [1.15] * 3), straight, range(8))
+    assert sure_of(wild, straight, range(8)) < SURE
+    assert surely(wild, straight, range(8))
+    assert not surely(wilder, straight, range(8))
+    assert not surely(tried(SPACES[0], [0.9] * 5 + [1.15] * 3), straight, range(8))
 
 
 # ---- seconds of the processor
@@ -216,8 +217,8 @@ def test_where_an_output_may_rest_anywhere_states_integrate():
     network = LINEAR.build(Orders(1, (0, 0)), posed.inputs, posed.output, 0)
 
     def tried(error: float, **orders) -> None:
-        model = halving.Model(LINEAR, Orders(1, (0, 0), **orders), 0.0)
-        search.tried[model] = halving.Tried(model, 0, {0: network}, {0: [np.full(40, error)]}, 0.0)
+        model = Model(LINEAR, Orders(1, (0, 0), **orders), 0.0)
+        search.tried[model] = Tried(model, 0, {0: network}, {0: [np.full(40, error)]}, 0.0)
 
     tried(0.5)
     assert [o.integrating for o in search.spaces()] == [False]

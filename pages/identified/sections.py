@@ -6,7 +6,7 @@ import numpy as np
 from markupsafe import Markup
 
 from greygate.identify.files import Identified, IdentifiedFacts, lines
-from greygate.identify.halving import Tried
+from greygate.identify.tried import Tried
 from greygate.models.network import Network
 from greygate.pages import figures as drawing
 from greygate.pages.figures import Curve
