@@ -22,7 +22,7 @@ from greygate.identify.linear import taught
 from greygate.identify.looking import look
 from greygate.identify.subspace import numerators, subspace
 from greygate.identify.task import task
-from greygate.identify.tried import SURE, Model, Tried, sure_of
+from greygate.identify.tried import SURE, Model, Tried, sure_of, surely
 from greygate.models.accuracy import float_error, rms
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
