@@ -679,7 +679,7 @@ def test_what_radiates_is_never_surely_called_by_the_name_of_another_curve(tmp_p
     diagnosis = diagnose(load(folder))
     found = diagnosis.as_dict()
     assert "jacket" in [w["equation"] for w in found["where"]]
-    assert all(e["confidence"] < 0.95 for e in found["effects"])
+    assert all(e["confidence"] < 0.7 for e in found["effects"] if e["id"] != "unknown")  # a formula is no name
     assert diagnosis.structure == structure(diagnosis.corrected)  # of the fit that is reported
 
 
