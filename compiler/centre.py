@@ -20,6 +20,9 @@ from greygate.models.training.objective import Objective, traces
 from greygate.models.training.record import Record
 
 SAMPLES = 2000  # steps of all records together, evenly spread
+FLIPPED = (
+    100.0  # times the median distance from the median error, beyond which a comparison has flipped, or a word ended
+)
 
 
 def centre_biases(program: Program, network: Network, records: Sequence[Record]) -> Program:
@@ -66,11 +69,23 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         apart = exact - fixed
         if layer.function.periodic:
             apart -= 2.0 * np.floor(0.5 * apart + 0.5)
-        error = mean(apart)
+        error = usual(apart, operation.out.fix.lsb)
         bias = operation.bias + np.floor(np.ldexp(error, operation.frac) + 0.5).astype(np.int64)
         changed = replace(operation, bias=bias)
         program = replace(program, operations=(*program.operations[:at], changed, *program.operations[at + 1 :]))
     return program.check()
+
+
+def usual(apart: np.ndarray, lsb: float) -> np.ndarray:
+    """The mean error of each element (samples, elements) -> (elements,), without samples that are off by a jump.
+
+    What one comparison makes of a few samples is no shift of all.
+    """
+    away = np.abs(apart - np.median(apart, axis=0))
+    kept = away <= FLIPPED * np.maximum(np.median(away, axis=0), 0.5 * lsb)
+    if kept.all():
+        return mean(apart)
+    return np.array([float(mean(column[at][:, None])[0]) for column, at in zip(apart.T, kept.T, strict=True)])
 
 
 def _rounds_nothing(operation: Affine) -> bool:

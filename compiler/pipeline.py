@@ -31,8 +31,10 @@ WIDTHS = range(8, 33)
 ROUNDING = 2.0**-50  # of a parameter: a few units in its last place
 ROUNDED = 100.0  # times what that changes: a rewrite rounds anew in every step
 EXACT = 1e-9  # error of float, relative to the signal, below which it has none
-FINER = "give more bits (--width), or a largest error (--max-error 1.05x)"
+FINER = "give more bits (--width)"
+BOUND = ", or a largest error (--max-error 1.05x)"  # where float errs
 COARSE = 1 / 32  # of an output's range: beyond it, fixed point has fewer than five bits of it right, which a plot shows
+FLIPS = 0.1  # of the samples: in fewer it is no width that lacks, where a comparison tips
 
 
 @dataclass(frozen=True)
@@ -217,25 +219,34 @@ def fixed_error(program: Program, record: Record) -> dict[str, np.ndarray]:
 
 def coarse(program: Program, network: Network, records: Mapping[str, Record]) -> dict[str, str]:
     """Output -> a remark, where fixed point differs from float by more than COARSE of its range on a record."""
-    worst: dict[str, tuple[float, str]] = {}
+    worst: dict[str, tuple[float, str, str]] = {}
     for scenario, record in records.items():
         floating, fixed = float_error(network, record), fixed_error(program, record)
         for name, error in fixed.items():
             answers = (np.asarray(record.targets[name]) + floating[name])[record.skip :]
-            apart, span = np.abs(error - floating[name])[record.skip :].max(), np.ptp(answers)
-            share = float(apart / span) if span > EXACT * np.abs(answers).max() else 0.0
-            worst[name] = max(worst.get(name, (COARSE, "")), (share, scenario))
+            apart, span = np.abs(error - floating[name])[record.skip :], np.ptp(answers)
+            share = float(apart.max() / span) if span > EXACT * np.abs(answers).max() else 0.0
+            off = int(np.sum(apart.reshape(len(apart), -1).max(axis=1) > COARSE * span))
+            few = f", in {off} of {len(apart)} samples" if off <= FLIPS * len(apart) else ""
+            finer = FINER + (BOUND if np.abs(floating[name]).max() > EXACT * span else "")
+            why = beyond(program, {scenario: record}) or (f"a comparison tips there, or {finer}" if few else finer)
+            worst[name] = max(worst.get(name, (COARSE, "", "")), (share, scenario, f"{few}: {why}"))
     return {
-        name: f"differs from float by up to {share:.0%} of its range on {scenario}: "
-        + (beyond(program, {scenario: records[scenario]}) or FINER)
-        for name, (share, scenario) in worst.items()
+        name: f"differs from float by up to {share:.0%} of its range on {scenario}{why}"
+        for name, (share, scenario, why) in worst.items()
         if scenario
     }
 
 
 def beyond(program: Program, records: Mapping[str, Record]) -> str:
     """The input that leaves what its word holds in the most samples of a record, and what to do; "" if none does."""
-    clipped = {(name, n): c for name, r in records.items() for n, c in program.clipped(r.inputs).items()}
+    steps = {p.name: abs(p.signal.fix.lsb * p.scale) for p in program.inputs}  # by less, a range ends
+    clipped = {
+        (name, n): c
+        for name, r in records.items()
+        for n, c in program.clipped(r.inputs).items()
+        if c.given[0] < c.holds[0] - steps[n] or c.given[1] > c.holds[1] + steps[n]
+    }
     if not clipped:
         return ""
     scenario, name = max(clipped, key=lambda where: clipped[where].share)

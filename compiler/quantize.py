@@ -362,7 +362,10 @@ class _Quantizer:
             self.operations.append(Threshold(out, pre, 0, int(low), int(high)))
 
     def _comparator(self, name: str) -> bool:
-        """Lower a hard limit of one signal to an exact comparison of its codes with a constant (no multiplier)."""
+        """Lower a hard limit of one signal to an exact comparison of its codes with a constant (no multiplier).
+
+        That of an input is rounded as the input is: what equals it stays equal.
+        """
         plain, out = self._plain(name, slice(None)), self.signals[name]
         if plain is None:
             return False
@@ -371,6 +374,8 @@ class _Quantizer:
         low, high = self.layers[name].function.image
         answers = int(low), int(high)
         zero = -Fraction(bias) / Fraction(weight) * Fraction(2) ** signal.fix.frac  # where weight * code + bias is 0
+        if any(p.name == source for p in self.flat.inputs):
+            zero = Fraction(math.floor(zero + Fraction(1, 2)))
         if weight > 0:
             at = math.ceil(zero)
         else:  # code <= zero

@@ -1,4 +1,5 @@
 import math
+import re
 from dataclasses import replace
 from itertools import product
 
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from networks import delay_line, random_inputs, random_network
 
 from greygate.compiler import pipeline
-from greygate.compiler.centre import centre_biases
+from greygate.compiler.centre import centre_biases, usual
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats, loop_gain, memory, quantize
 from greygate.compiler.ranges import ranges
@@ -21,7 +22,7 @@ from greygate.emulator.program import Affine, Program, Signal, Terminal
 from greygate.errors import InputError
 from greygate.models.accuracy import float_error
 from greygate.models.activations import ACTIVATIONS
-from greygate.models.arithmetic import xp
+from greygate.models.arithmetic import mean, xp
 from greygate.models.families.blocks import feedforward, flow_record
 from greygate.models.network import Layer, Network, Port
 from greygate.models.simplify import merge_linear, multiplications, simplify
@@ -552,3 +553,43 @@ def test_an_output_that_is_always_zero_compiles():
     compiled = compile_network(network, {"run": Record({"u": u}, {"y": 0.0 * u})}, Formats(12), ranged_on=["run"])
     assert [p.change for p in compiled.passes] == [0.0] * len(compiled.passes)
     assert not run(compiled.program, compiled.program.encode({"u": u})).outputs.any()
+
+
+@pytest.mark.parametrize("gain", [1.0, -1.0])
+def test_what_equals_the_level_of_a_comparison_stays_equal(gain):
+    """An input on a grid of tenths, which no code has, beside a comparison with one of them."""
+    network = Network("n", [Port("u", "1", 1.0)], [Port("y", "1", 1.0)])
+    network.add("above", Layer({"u": [[gain]]}, [-0.3 * gain], "hardlim"), {"u": "u"})
+    network.add("sum", Layer({"u": [[0.37]], "above": [[0.5]]}, [0.0]), {"u": "u", "above": "above"})
+    network.connect("sum", "y")
+    u = np.random.default_rng(1).integers(0, 11, 400) / 10.0
+    record = Record({"u": u}, network.check().run({"u": u}))
+    program = compile_network(network, {"run": record}, Formats(16)).program
+    assert np.abs(fixed_error(program, record)["y"]).max() < 1e-4
+
+
+def test_what_a_comparison_makes_of_a_few_samples_is_no_shift_of_all():
+    apart = np.random.default_rng(2).normal(0.2, 1.0, (400, 2))
+    assert np.array_equal(usual(apart, 1.0), mean(apart))
+    flipped = apart.copy()
+    flipped[::40, 1] += 1e4
+    assert usual(flipped, 1.0)[0] == mean(apart)[0]
+    assert usual(flipped, 1.0)[1] == pytest.approx(np.delete(apart[:, 1], slice(None, None, 40)).mean(), abs=1e-12)
+
+
+@pytest.mark.parametrize(("at", "few"), [(0.31, True), (0.0, False)])
+def test_a_jump_in_a_few_samples_is_told_as_one_and_a_coarse_word_as_that(at, few):
+    """at: of a comparison of a square, which a word of eight bits holds roughly; else all is rough."""
+    u = np.linspace(-1.0, 1.0, 400)
+    network = feedforward("f", ["u"], [3], 0) if not few else Network("f", [Port("u", "1", 1.0)], [Port("y", "1", 1.0)])
+    if few:
+        network.add("bent", Layer({"u": [[1.0]]}, [0.0], "tansig"), {"u": "u"})
+        network.add("above", Layer({"bent": [[1.0]]}, [-at], "hardlim"), {"bent": "bent"})
+        network.connect("above", "y")
+    name, source = network.check().outputs[0].name, network.inputs[0].name
+    record = Record({source: u}, network.run({source: u}))
+    program = quantize(network, ranges(network, [record]), Formats(6 if few else 4))
+    (told,) = pipeline.coarse(program, network, {"run": record}).values()
+    assert name in record.targets
+    assert (re.search(r", in \d+ of 400 samples: a comparison tips there, or give more bits", told) is not None) == few
+    assert "--max-error" not in told

@@ -106,12 +106,20 @@ def test_values_become_codes_and_codes_values_to_the_last_bit_however_the_compil
     subprocess.run(command, cwd=tmp_path / "c", check=True)
     given = inputs(build)
     lines = "\n".join(" ".join(f"{v:.17g}" for v in row) for row in zip(*given.values(), strict=True))
-    ran = subprocess.run(
-        [tmp_path / "c" / "example"], input=lines + "\n", capture_output=True, text=True, check=True
-    ).stdout
-    found = np.array([[float(v) for v in line.split()] for line in ran.splitlines()])
+
+    def ran(text: str) -> subprocess.CompletedProcess:
+        return subprocess.run([tmp_path / "c" / "example"], input=text, capture_output=True, text=True, check=False)
+
+    done = ran(lines + "\n")
+    found = np.array([[float(v) for v in line.split()] for line in done.stdout.splitlines()])
     expected = emulate(build.program, given)
     assert expected.clipped, "some values lie outside the format"
+    assert done.returncode == 0
+    assert re.fullmatch(r"\d+ values are beyond what their formats hold; they became the nearest code\n", done.stderr)
+    for wrong, said in (("nan", "step 2: a value is not finite\n"), ("-inf", "step 2: a value is not finite\n"),
+                        ("volts", "step 2: give 1 number\n")):  # fmt: skip
+        done = ran(f"0\n{wrong}\n")
+        assert (done.returncode, done.stderr, done.stdout.count("\n")) == (2, said, 1)
     assert found.T.tolist() == [v.tolist() for v in expected.outputs.values()]
 
 
