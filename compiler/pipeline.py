@@ -1,5 +1,6 @@
 """From a trained network to an integer program: all passes in order, each checked before and after."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,6 +35,7 @@ EXACT = 1e-9  # error of float, relative to the signal, below which it has none
 FINER = "give more bits (--width)"
 BOUND = ", or a largest error (--max-error 1.05x)"  # where float errs
 COARSE = 1 / 32  # of an output's range: beyond it, fixed point has fewer than five bits of it right, which a plot shows
+WASTED = 2**-8  # of a word's span: recorded values that need less leave eight bits unused
 FLIPS = 0.1  # of the samples: in fewer it is no width that lacks, where a comparison tips
 
 
@@ -115,7 +117,7 @@ def compile_network(
             continue
         if meanings:
             passes.remark("use_meanings", remarks | proved)
-        passes.remark(passes.done[-1].name, coarse(program, small, records))
+        passes.remark(passes.done[-1].name, wasted(program, training) | coarse(program, small, records))
         return Compiled(small, found, program, tuple(passes.done), tuple(rounds))
 
 
@@ -215,6 +217,25 @@ def fixed_error(program: Program, record: Record) -> dict[str, np.ndarray]:
     """Fixed-point prediction less target, by output, in physical units, (N,) or (N, size)."""
     decoded = program.decode(run(program, program.encode(record.inputs), states=False).outputs)
     return {p.name: decoded[p.name] - np.asarray(record.targets[p.name]) for p in program.outputs}
+
+
+def wasted(program: Program, records: Sequence[Record]) -> dict[str, str]:
+    """Input -> a remark, where its recorded values stand still or need but a small part of their word."""
+    found = {}
+    for port in program.inputs:
+        values = np.concatenate([np.ravel(r.inputs[port.name]) for r in records])
+        span, middle = float(np.ptp(values)), float(values.min() + values.max()) / 2
+        steps, enough = span / abs(port.signal.fix.lsb * port.scale), WASTED * 2**port.signal.fix.width
+        if not span:
+            found[port.name] = (
+                f"is {middle:g} in every sample: its format is a guess; give a recording in which it moves"
+            )
+        elif steps < enough:
+            found[port.name] = (
+                f"moves by {span:.3g} about {middle:.6g}, {steps:.2g} steps of its word: read it without that offset, "
+                f"or give {math.ceil(math.log2(enough / steps))} bits more (--width)"
+            )
+    return found
 
 
 def coarse(program: Program, network: Network, records: Mapping[str, Record]) -> dict[str, str]:

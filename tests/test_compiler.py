@@ -593,3 +593,23 @@ def test_a_jump_in_a_few_samples_is_told_as_one_and_a_coarse_word_as_that(at, fe
     assert name in record.targets
     assert (re.search(r", in \d+ of 400 samples: a comparison tips there, or give more bits", told) is not None) == few
     assert "--max-error" not in told
+
+
+@pytest.mark.parametrize(
+    ("u", "said"),
+    [
+        (100.0 + 1e-3 * np.sin(np.arange(300)), "u moves by 0.002 about 100, 0.51 steps of its word: read it without"),
+        (np.zeros(300), "u is 0 in every sample"),
+        (1e-6 * np.sin(np.arange(300)), ""),
+        (np.arange(300) % 2.0, ""),
+    ],
+    ids=["beside an offset", "still", "small", "off and on"],
+)
+def test_an_input_that_needs_little_of_its_word_is_told_of(u, said):
+    network = Network("n", [Port("u", "1", 1.0)], [Port("y", "1", 1.0)])
+    network.add("same", Layer({"u": [[0.5]]}, [0.0]), {"u": "u"})
+    network.connect("same", "y")
+    record = Record({"u": u}, network.check().run({"u": u}))
+    compiled = compile_network(network, {"run": record}, Formats(16))
+    told = [r for p in compiled.passes for r in p.remarks if r.startswith("u ")]
+    assert [r.startswith(said) for r in told] == [True] * bool(said)
