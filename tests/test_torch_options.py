@@ -12,8 +12,11 @@ import torch
 from torch import nn
 from torch_cases import On, cases, tried
 
+from greygate.compiler.pipeline import compile_network, fixed_error
+from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.models.importers.pytorch import from_torch
+from greygate.models.training.record import Record
 
 EVERY = {"activations": 61, "norms": 41, "sequences": 211, "cells": 17, "layers": 37, "functions": 127}
 """Of so many cases one is tried here; the benchmark tries all."""
@@ -82,6 +85,28 @@ def test_the_module_itself_and_the_random_numbers_are_left_as_they_were():
     assert random.getstate() == before[2]
     assert torch.get_default_dtype() is torch.float32
     assert (module.calls, module.n.item(), module.n.dtype, module.training) == (0, 0.0, torch.float32, True)
+
+
+def test_a_row_that_an_input_picks_is_picked_in_fixed_point_too():
+    """One of floor(x) == k is 1, also where floor in float64 is a difference that rounds."""
+    rows = np.array([0.3, -0.2, 0.9, 0.4, -0.7, 0.1, 0.8])
+
+    class Picked(nn.Module):
+        def forward(self, x):
+            place = torch.floor(4 * x[:1])
+            one = (place == torch.arange(-3, 4, dtype=x.dtype)).to(x.dtype)
+            return torch.cat([(one * torch.tensor(rows, dtype=x.dtype)).sum()[None], (x[1:] != 0.5).to(x.dtype)])
+
+    network = from_torch(Picked(), ["u", "v"], ["y", "z"])
+    u, v = np.linspace(-0.7, 0.9, 401), np.where(np.arange(401) % 3, 0.5, 0.1)
+    answers = network.run({"u": u, "v": v})
+    assert answers["y"] == pytest.approx(rows[np.floor(4 * u).astype(int) + 3], abs=1e-12)
+    assert answers["z"].tolist() == (v != 0.5).tolist()
+    record = Record({"u": u, "v": v}, answers)
+    apart = fixed_error(compile_network(network, {"run": record}, Formats(16)).program, record)
+    assert np.median(np.abs(apart["y"])) < 1e-4
+    assert np.sum(np.abs(apart["y"]) > 0.01) <= 7  # where a word rounds over an edge
+    assert not apart["z"].any()
 
 
 def test_a_module_that_has_the_name_of_a_recurrent_layer_is_none():

@@ -19,6 +19,7 @@ from greygate.models.network import Layer, Network, Port
 from greygate.names import CORE_NAMES, KEYWORDS, LONGEST_NAME, check_name, check_path, check_unit
 
 Number = float | np.ndarray
+ROUNDED = 2.0**-44  # below the step of any word; above what float64 rounds, of values up to some hundred
 SAME = 1e-12  # of the largest number of a row: what scalings on the way leave of equality
 WIDE = 1 << 20  # of limits: scaled to 0 and 1, a value between them would lose more than 20 of its 53 bits
 POSITIVE = {"logsig", "negexp", "normal", "rsqrt", "softfall"}  # never 0, however small
@@ -267,8 +268,9 @@ class Builder:
         return self.along(value, axes, keep, lambda a, b: self.product(a, b, hint))
 
     def equal(self, a: Value, b: Value, hint: str) -> Value:
-        """1 where both are the same, else 0."""
-        return self.at_least(a, b, hint).plus(self.at_least(b, a, hint)).plus(constant(-1.0))
+        """1 where both are the same, else 0; what ROUNDED sets apart is the same: a floor is a difference of two."""
+        near = self.at_least(a.plus(constant(ROUNDED)), b, hint).plus(self.at_least(b.plus(constant(ROUNDED)), a, hint))
+        return near.plus(constant(-1.0))
 
     @staticmethod
     def along(value: Value, axes: Sequence[int], keep: bool, how: Callable[[Value, Value], Value]) -> Value:

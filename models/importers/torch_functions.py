@@ -442,7 +442,7 @@ LINEAR = {
 }  # fmt: skip
 """Operations that are affine in any of their tensors while the others are constant."""
 LOGICAL = {
-    "gt", "ge", "lt", "le", "where", "logical_not", "bitwise_not", "logical_and", "bitwise_and", "__and__",
+    "gt", "ge", "lt", "le", "eq", "ne", "where", "logical_not", "bitwise_not", "logical_and", "bitwise_and", "__and__",
     "logical_or", "bitwise_or", "__or__",
 }  # fmt: skip
 FUNCTIONS: dict[str, Callable] = {
@@ -454,7 +454,7 @@ FUNCTIONS: dict[str, Callable] = {
     "addmm": _fused("mm"), "addmv": _fused("mv"), "baddbmm": _fused("bmm"),
     "addcmul": lambda walk, a, b, c, value=1.0: _add(walk, a, _multiply(walk, b, c), value),
     "lerp": lambda walk, a, b, w: _add(walk, a, _multiply(walk, w, _less(walk, b, a))),
-    "tanh": _activated("tansig"), "sigmoid": _activated("logsig"),
+    "tanh": _activated("tansig"), **dict.fromkeys(["sigmoid", "special_expit"], _activated("logsig")),
     "relu": lambda walk, x: walk.builder.rectified(x, 0.0, walk.hint()),
     "relu6": lambda walk, x: walk.builder.clipped(x, 0.0, 6.0, walk.hint()),
     "leaky_relu": lambda walk, x, slope=0.01: walk.builder.rectified(x, slope, walk.hint()),
@@ -479,6 +479,8 @@ FUNCTIONS: dict[str, Callable] = {
     "le": lambda walk, a, b: walk.builder.activated(_less(walk, b, a), "hardlim", walk.hint()),
     "gt": lambda walk, a, b: FUNCTIONS["le"](walk, a, b).times(-1.0).plus(constant(1.0)),
     "lt": lambda walk, a, b: FUNCTIONS["ge"](walk, a, b).times(-1.0).plus(constant(1.0)),
+    "eq": lambda walk, a, b: walk.builder.equal(_less(walk, a, b), constant(0.0), walk.hint()),
+    "ne": lambda walk, a, b: FUNCTIONS["eq"](walk, a, b).times(-1.0).plus(constant(1.0)),
     **dict.fromkeys(["_to_copy", "to", "type_as"], lambda walk, x, *_, **__: x),
     **dict.fromkeys(["zero", "zeros_like", "ones_like", "full_like", "new_zeros", "new_ones", "new_full"], _shaped),
     **dict.fromkeys(["softmax", "_softmax"], _softmax(norms.softmax)),
