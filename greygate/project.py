@@ -319,7 +319,7 @@ def synthesize_project(
             if mhz_reached := counts.get("clock_mhz"):
                 clocks = clocks_per_step(project, architecture, told)
                 counts |= {"clocks": clocks, "us_per_step": clocks / mhz_reached}
-            found[f"{architecture}, {target}"] = counts | terms
+            found[f"{architecture}, {target}"] = counts | (terms if "luts" in counts else {})
         _write_json(project.folder / "resources.json", found)
     if keep:
         _write_json(kept_file(name), {"size": size(program), "resources": found})

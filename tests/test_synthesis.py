@@ -114,7 +114,8 @@ def test_figures_are_kept_for_a_network_of_the_catalogue_only(compiled, tmp_path
     assert compiled.resources is None
     named = replace(compiled, source=Source("b2", {}))
     found = synthesize_project(named, "ecp5", limit=5.0, keep=True)
-    assert found == {"folded, ecp5": {"luts": 42}, "parallel, ecp5": {"stopped_after_s": 5.0}}
+    terms = {"edge_bits": 16, "weights": 3}
+    assert found == {"folded, ecp5": {"luts": 42} | terms, "parallel, ecp5": {"stopped_after_s": 5.0}}
     assert json.loads((tmp_path / "b2.resources.json").read_text()) == {"size": size(named.program), "resources": found}
     (tmp_path / "hw" / "resources.json").unlink()
     assert named.resources == found
