@@ -172,6 +172,20 @@ def test_a_curve_is_never_sure_where_one_that_is_like_it_acts(smooth, like, sure
     assert Diagnosis._confidence(said, "a", {}) == pytest.approx(sure, abs=0.001)
 
 
+@pytest.mark.parametrize(("heard", "told"), [(True, None), (False, 2e-6)])
+def test_a_noise_that_nobody_told_is_not_said_to_be_told(heard, told):
+    channels = {
+        "x": SimpleNamespace(sigma=2e-6, unit="m", heard=heard),
+        "y": SimpleNamespace(sigma=1.0, unit="m", heard=False),
+    }
+    rig = SimpleNamespace(predict=("x", "y"), channels=channels, heard=heard)
+    shown = SimpleNamespace(size=np.ones(2), ar=((), ()), doubted=(False, False))
+    likelihood = SimpleNamespace(sigma=np.array([[2e-6, 1.0]]))
+    said = SimpleNamespace(rig=rig, told=not heard, corrected=SimpleNamespace(likelihood=likelihood))
+    found = Diagnosis._noise(said, shown)
+    assert [found[name]["told"] for name in ("x", "y")] == [told, 1.0]
+
+
 @pytest.mark.parametrize(("expected", "left", "rough"), [(0.0, 0.05, True), (0.0, 0.012, False), (900.0, 0.05, False)])
 def test_where_no_noise_is_told_a_name_is_doubtful_that_leaves_far_more_than_the_recording_is_rough(
     expected, left, rough
