@@ -20,9 +20,7 @@ from greygate.models.training.objective import Objective, traces
 from greygate.models.training.record import Record
 
 SAMPLES = 2000  # steps of all records together, evenly spread
-FLIPPED = (
-    100.0  # times the median distance from the median error, beyond which a comparison has flipped, or a word ended
-)
+FLIPPED = 100.0  # times the median distance from the median error: beyond it a comparison has flipped
 
 
 def centre_biases(program: Program, network: Network, records: Sequence[Record]) -> Program:

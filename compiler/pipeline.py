@@ -13,8 +13,8 @@ from greygate.compiler.meaning import Replaced, prove, use_meanings
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
 from greygate.emulator.engine import run
-from greygate.emulator.numbers import Fix
-from greygate.emulator.program import Program
+from greygate.emulator.numbers import Fix, Overflow
+from greygate.emulator.program import Affine, Operation, Program, Select, Threshold
 from greygate.errors import InputError
 from greygate.models import sampling
 from greygate.models.accuracy import float_error, pooled_rms, portable_rms
@@ -250,13 +250,20 @@ def coarse(program: Program, network: Network, records: Mapping[str, Record]) ->
             off = int(np.sum(apart.reshape(len(apart), -1).max(axis=1) > COARSE * span))
             few = f", in {off} of {len(apart)} samples" if off <= FLIPS * len(apart) else ""
             finer = FINER + (BOUND if np.abs(floating[name]).max() > EXACT * span else "")
-            why = beyond(program, {scenario: record}) or (f"a comparison tips there, or {finer}" if few else finer)
+            tips = "a comparison or an angle tips there, or " if few and any(map(_jumps, program.operations)) else ""
+            why = beyond(program, {scenario: record}) or tips + finer
             worst[name] = max(worst.get(name, (COARSE, "", "")), (share, scenario, f"{few}: {why}"))
     return {
         name: f"differs from float by up to {share:.0%} of its range on {scenario}{why}"
         for name, (share, scenario, why) in worst.items()
         if scenario
     }
+
+
+def _jumps(operation: Operation) -> bool:
+    """Whether a step of its argument may change its answer by more than a step."""
+    wraps = isinstance(operation, Affine) and operation.overflow is Overflow.WRAP
+    return wraps or isinstance(operation, Threshold | Select)
 
 
 def beyond(program: Program, records: Mapping[str, Record]) -> str:

@@ -146,9 +146,9 @@ class Halving:
         best = [t.model.orders for t in self.ranked()[:LEADING]]
         late = [Model(LINEAR, replace(o, delays=d), 0.0) for d in delays for o in best]
         self.rung(0, QUICK, [m for m in late if m not in self.tried])
-        self.fitted([t.model for t in self.ranked()[:LEADING] if np.isfinite(t.error)], LADDER.until)
+        self.free_run([t.model for t in self.ranked()[:LEADING] if np.isfinite(t.error)], LADDER.until)
 
-    def fitted(self, models: Sequence[Model], until: float) -> None:
+    def free_run(self, models: Sequence[Model], until: float) -> None:
         """Fit linear models to their free run; networks wait for the first ones, from which they grow."""
         self.rung(0, replace(LADDER, until=max(until, RUNGS[0].until)), models[: self.jobs])
         self.rung(0, replace(LADDER, until=until), models[self.jobs :])
@@ -187,9 +187,9 @@ class Halving:
         self.task = replace(self.task, parts=HALVES)
         self.folds, self.tried = self.task.folds(), {}
         if not runs:  # what would be tried again has not run before: it waits
-            self.fitted(resting, until)
+            self.free_run(resting, until)
         self.rung(0, replace(QUICK, until=until), ladder)
-        self.fitted([*(t.model for t in self.ranked()[:LEADING]), *(resting if runs else [])], until)
+        self.free_run([*(t.model for t in self.ranked()[:LEADING]), *(resting if runs else [])], until)
         if not self.tried:
             self.task, self.folds, self.tried = before
 
